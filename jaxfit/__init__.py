@@ -1,0 +1,1 @@
+"""jaxfit: face landmarks by cascaded regression, vectorised in JAX."""

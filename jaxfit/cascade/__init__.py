@@ -1,0 +1,1 @@
+"""The cascade of linear regressors: its parameters, fitting and training."""

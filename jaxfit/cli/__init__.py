@@ -1,0 +1,1 @@
+"""The ``jaxfit`` command: thin layers over the Python API."""

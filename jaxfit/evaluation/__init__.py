@@ -1,0 +1,1 @@
+"""How good fits are: errors, curves and statistics."""

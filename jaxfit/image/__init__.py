@@ -1,0 +1,1 @@
+"""Pixels: smoothing and bilinear sampling, in pure JAX, for one picture."""

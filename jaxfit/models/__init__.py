@@ -1,0 +1,1 @@
+"""Model files: saving, loading, and the ones that come with the package."""

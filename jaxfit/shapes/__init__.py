@@ -1,0 +1,1 @@
+"""Coordinate systems for faces, and what their landmarks mean."""

@@ -1,0 +1,173 @@
+"""Landmark schemes: what the points of 21-, 29- and 68-point faces are, so that code can mirror, normalise and draw them.
+
+Indices are 0-based. "Left" and "right" are those of the picture, not of the subject.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxfit.exceptions import InputError
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """One way of labelling faces.
+
+    Attributes:
+        name: short name, stored in models.
+        count: number of landmarks.
+        outer_eyes: indices of the left and the right outer eye corner, or None if unknown.
+        pupils: for the left and the right eye, the indices whose mean is the pupil, or None if unknown.
+        mirror: ``mirror[i]`` is the index, in the original, of the point that becomes ``i`` in the mirrored picture;
+            None if unknown.
+        lines: polylines of indices that draw the face.
+    """
+
+    name: str
+    count: int
+    outer_eyes: tuple[int, int] | None = None
+    pupils: tuple[tuple[int, ...], tuple[int, ...]] | None = None
+    mirror: tuple[int, ...] | None = None
+    lines: tuple[tuple[int, ...], ...] = ()
+
+
+def _mirror(count: int, pairs: list[tuple[int, int]]) -> tuple[int, ...]:
+    order = list(range(count))
+    for a, b in pairs:
+        order[a], order[b] = b, a
+    return tuple(order)
+
+
+def _run(first: int, last: int, closed: bool = False) -> tuple[int, ...]:
+    points = tuple(range(first, last + 1))
+    return (*points, first) if closed else points
+
+
+IBUG68 = Scheme(
+    name="ibug68",
+    count=68,
+    outer_eyes=(36, 45),
+    pupils=(_run(36, 41), _run(42, 47)),
+    mirror=_mirror(
+        68,
+        [(i, 16 - i) for i in range(8)]
+        + [(17 + i, 26 - i) for i in range(5)]
+        + [(31, 35), (32, 34)]
+        + [(36, 45), (37, 44), (38, 43), (39, 42), (41, 46), (40, 47)]
+        + [(48, 54), (49, 53), (50, 52), (59, 55), (58, 56), (60, 64), (61, 63), (67, 65)],
+    ),
+    lines=(
+        _run(0, 16),
+        _run(17, 21),
+        _run(22, 26),
+        _run(27, 30),
+        _run(31, 35),
+        _run(36, 41, closed=True),
+        _run(42, 47, closed=True),
+        _run(48, 59, closed=True),
+        _run(60, 67, closed=True),
+    ),
+)
+
+# AFLW's feature_id 1..21 in order: three points a brow, three an eye (corner, centre, corner), ears, nose, mouth, chin.
+AFLW21 = Scheme(
+    name="aflw21",
+    count=21,
+    outer_eyes=(6, 11),
+    pupils=((7,), (10,)),
+    mirror=_mirror(
+        21, [(0, 5), (1, 4), (2, 3), (6, 11), (7, 10), (8, 9), (12, 16), (13, 15), (17, 19)]
+    ),
+    lines=((0, 1, 2), (3, 4, 5), (6, 7, 8), (9, 10, 11), (13, 14, 15), (17, 18, 19), (12, 20, 16)),
+)
+
+# The order of LFPW's file: its first 28 names, then the chin. Names come as left/right pairs.
+LFPW29_NAMES = (
+    "left_eyebrow_out",
+    "right_eyebrow_out",
+    "left_eyebrow_in",
+    "right_eyebrow_in",
+    "left_eyebrow_center_top",
+    "left_eyebrow_center_bottom",
+    "right_eyebrow_center_top",
+    "right_eyebrow_center_bottom",
+    "left_eye_out",
+    "right_eye_out",
+    "left_eye_in",
+    "right_eye_in",
+    "left_eye_center_top",
+    "left_eye_center_bottom",
+    "right_eye_center_top",
+    "right_eye_center_bottom",
+    "left_eye_pupil",
+    "right_eye_pupil",
+    "left_nose_out",
+    "right_nose_out",
+    "nose_center_top",
+    "nose_center_bottom",
+    "left_mouth_out",
+    "right_mouth_out",
+    "mouth_center_top_lip_top",
+    "mouth_center_top_lip_bottom",
+    "mouth_center_bottom_lip_top",
+    "mouth_center_bottom_lip_bottom",
+    "chin",
+)
+
+LFPW29 = Scheme(
+    name="lfpw29",
+    count=29,
+    outer_eyes=(8, 9),
+    pupils=((16,), (17,)),
+    mirror=_mirror(
+        29,
+        [(0, 1), (2, 3), (4, 6), (5, 7), (8, 9), (10, 11), (12, 14), (13, 15), (16, 17), (18, 19), (22, 23)],
+    ),
+    lines=(
+        (0, 4, 2, 5, 0),
+        (3, 6, 1, 7, 3),
+        (8, 12, 10, 13, 8),
+        (11, 14, 9, 15, 11),
+        (18, 20, 19, 21, 18),
+        (22, 24, 23, 27, 22),
+        (22, 25, 23, 26, 22),
+    ),
+)
+
+SCHEMES = {scheme.name: scheme for scheme in (AFLW21, LFPW29, IBUG68)}
+
+
+def scheme_named(name: str) -> Scheme:
+    """The scheme called ``name``; ``points<N>`` names N points of unknown meaning.
+
+    Raises:
+        InputError: no such scheme.
+    """
+    if name in SCHEMES:
+        return SCHEMES[name]
+    count = name.removeprefix("points")
+    if name != count and count.isdigit() and int(count) > 0:
+        return Scheme(name=name, count=int(count))
+    raise InputError(f"unknown landmark scheme {name!r}; known: {', '.join(SCHEMES)}, points<N>")
+
+
+def scheme_of_count(count: int) -> Scheme:
+    """The known scheme with ``count`` points, or ``points<count>`` when the meaning of the points is unknown."""
+    for scheme in SCHEMES.values():
+        if scheme.count == count:
+            return scheme
+    return Scheme(name=f"points{count}", count=count)
+
+
+def mirrored(landmarks: np.ndarray, width: float, scheme: Scheme) -> np.ndarray:
+    """Landmarks (..., L, 2) of the picture flipped left to right; ``width`` is the picture's, in pixels.
+
+    Raises:
+        InputError: the scheme does not say which points are mirror images of each other.
+    """
+    if scheme.mirror is None:
+        raise InputError(f"scheme {scheme.name} has no mirror order; train without mirrored pictures")
+    flipped = np.asarray(landmarks)[..., list(scheme.mirror), :].copy()
+    flipped[..., 0] = width - 1 - flipped[..., 0]
+    return flipped
