@@ -16,11 +16,11 @@ class FaceRecord:
         image: path of the picture.
         landmarks: (L, 2) float64, x right, y down, pixels, pixel centres at integers; NaN where unknown.
         present: (L,) bool, False where a landmark has no annotation.
-        visible: (L,) bool, False where a landmark is annotated but hidden; all of ``present`` if the source does not say.
+        visible: (L,) bool, False where a landmark is hidden; all of ``present`` if the source does not say.
         box: (4,) x, y, width, height in pixels as given by the dataset, or None.
-        pose: (3,) roll, pitch, yaw in degrees (pitch > 0 looks up, yaw > 0 turns the nose to the image's left), or None.
+        pose: (3,) roll, pitch, yaw in degrees (pitch > 0 looks up, yaw > 0 turns the nose to image left), or None.
         subject: pictures of the same subject are never split between training and testing.
-        face: identifies the face within its dataset: file stem, or the dataset's own face number.
+        face: identifies the face within its dataset: file stem, or the dataset's own number.
     """
 
     image: Path

@@ -1,4 +1,4 @@
-"""Landmark schemes: what the points of 21-, 29- and 68-point faces are, so that code can mirror, normalise and draw them.
+"""Landmark schemes: what the points of 21-, 29- and 68-point faces are, to mirror, normalise and draw them.
 
 Indices are 0-based. "Left" and "right" are those of the picture, not of the subject.
 """
@@ -76,9 +76,7 @@ AFLW21 = Scheme(
     count=21,
     outer_eyes=(6, 11),
     pupils=((7,), (10,)),
-    mirror=_mirror(
-        21, [(0, 5), (1, 4), (2, 3), (6, 11), (7, 10), (8, 9), (12, 16), (13, 15), (17, 19)]
-    ),
+    mirror=_mirror(21, [(0, 5), (1, 4), (2, 3), (6, 11), (7, 10), (8, 9), (12, 16), (13, 15), (17, 19)]),
     lines=((0, 1, 2), (3, 4, 5), (6, 7, 8), (9, 10, 11), (13, 14, 15), (17, 18, 19), (12, 20, 16)),
 )
 

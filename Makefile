@@ -1,0 +1,26 @@
+# `make demo` fits a portrait; `make test` runs every check. Both start from nothing but Python 3.11+ and make.
+
+PYTHON ?= python3
+BIN := .venv/bin
+PORTRAIT = $(shell $(BIN)/python -c "import matplotlib.cbook as c; print(c.get_sample_data('grace_hopper.jpg', asfileobj=False))")
+
+.PHONY: demo test clean
+
+demo: .venv/plots
+	$(BIN)/jaxfit fit "$(PORTRAIT)" --out demo
+	@echo "Look at demo/overlays/grace_hopper.jpg"
+
+test: .venv/dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest
+
+# One stamp for each set of extras; the pinned versions make the result reproducible.
+.venv/%: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[$*]"
+	touch $@
+
+clean:
+	rm -rf .venv demo build *.egg-info .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,32 @@
+"""The parameters of a cascade, as one pytree with a leading step axis."""
+
+from dataclasses import dataclass, field
+
+import jax
+from jaxtyping import Array, Float
+
+from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.image.frame import Frame
+from jaxfit.shapes.space import ShapeSpace
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Cascade:
+    """A trained cascade; a pytree, so it can be an argument of jitted functions.
+
+    Attributes:
+        space: the shape space that the regressors work in.
+        weights: (S, F, P) regressors, one a step, the PCA folded in.
+        biases: (S, P) their intercepts.
+        windows: (S,) side of the descriptor window of each step in pixels of a face of scale 1.
+        descriptor: what is seen at a landmark (static).
+        frame: size of the crops (static).
+    """
+
+    space: ShapeSpace
+    weights: Float[Array, "steps features params"]
+    biases: Float[Array, "steps params"]
+    windows: Float[Array, "steps"]
+    descriptor: Descriptor = field(metadata={"static": True})
+    frame: Frame = field(metadata={"static": True})

@@ -1,0 +1,239 @@
+"""Training a cascade (thesis, Fig. 5): perturb, describe, regress, advance, one step after the other."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+from jax import lax, random, vmap
+from jax import numpy as jnp
+from jaxtyping import Array, Bool, Float, UInt8
+
+from jaxfit.cascade.fit import features_at
+from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.regression import Moments, Projection, principal_axes, solve
+from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.exceptions import InputError
+from jaxfit.image.frame import Frame
+from jaxfit.shapes.space import ShapeSpace, Start
+from jaxfit.types import Scalar
+
+# Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
+_BATCH = 512
+# Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
+_PCA_SAMPLES = 4096
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviations of the starts around the face box, measured on the training set.
+
+    Attributes:
+        shift: of the centre, in sides of the canonical face, for x and y.
+        log_scale: of the logarithm of the scale.
+        rotation: of the rotation, in radians.
+    """
+
+    shift: tuple[float, float]
+    log_scale: float
+    rotation: float
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """Faces to learn from.
+
+    Attributes:
+        crops: (N, H, H) uint8.
+        landmarks: (N, L, 2) true landmarks, in crop pixels.
+        mirrored: (N,) bool, True where the crop must be flipped left to right to agree with its landmarks, so that
+            mirrored pictures share their pixels with the originals. ``source`` then names the crop.
+        source: (N,) index into ``crops``.
+    """
+
+    crops: UInt8[np.ndarray, "crops height width"]
+    landmarks: Float[np.ndarray, "faces landmarks 2"]
+    mirrored: Bool[np.ndarray, "faces"]
+    source: np.ndarray
+
+
+def sample_starts(key: Array, count: int, frame: Frame, spread: Spread) -> Start:
+    """``count`` Monte Carlo starts around the middle of the crop."""
+    shift, scale, rotation = random.split(key, 3)
+    sigma = jnp.asarray(spread.shift) * frame.face
+    return Start(
+        centre=frame.middle + sigma * random.normal(shift, (count, 2)),
+        scale=jnp.exp(spread.log_scale * random.normal(scale, (count,))),
+        rotation=spread.rotation * random.normal(rotation, (count,)),
+    )
+
+
+@partial(jax.jit, static_argnames=("count", "frame", "spread"))
+def _draw(
+    space: ShapeSpace, keys: Array, count: int, frame: Frame, spread: Spread
+) -> Float[Array, "faces augmentations params"]:
+    return vmap(lambda key: vmap(space.place)(sample_starts(key, count, frame, spread)))(keys)
+
+
+def _describe(
+    descriptor: Descriptor,
+    space: ShapeSpace,
+    crops: UInt8[Array, "faces height width"],
+    mirrored: Bool[Array, "faces"],
+    states: Float[Array, "faces augmentations params"],
+    window: Scalar,
+) -> Float[Array, "faces augmentations features"]:
+    def face(crop: Array, flip: Array, states: Array) -> Array:
+        prepared = descriptor.prepare(jnp.where(flip, crop[:, ::-1], crop))
+        return vmap(lambda state: features_at(descriptor, space, prepared, state, window))(states)
+
+    return vmap(face)(crops, mirrored, states)
+
+
+_describe_batch = jax.jit(_describe, static_argnames="descriptor")
+
+
+@partial(jax.jit, static_argnames="descriptor", donate_argnames="moments")
+def _observe(
+    descriptor: Descriptor,
+    space: ShapeSpace,
+    projection: Projection,
+    moments: Moments,
+    crops: Array,
+    mirrored: Array,
+    states: Array,
+    targets: Array,
+    valid: Array,
+    window: Scalar,
+) -> Moments:
+    features = _describe(descriptor, space, crops, mirrored, states, window)
+    reduced = (features.reshape(-1, features.shape[-1]) - projection.mean) @ projection.axes
+    steps = vmap(lambda target, states: vmap(lambda state: space.difference(target, state))(states))(targets, states)
+    weights = jnp.repeat(valid.astype(jnp.float32), states.shape[1])
+    return moments.add(reduced, steps.reshape(-1, steps.shape[-1]), weights)
+
+
+@partial(jax.jit, static_argnames="descriptor")
+def _advance(
+    descriptor: Descriptor,
+    space: ShapeSpace,
+    crops: Array,
+    mirrored: Array,
+    states: Array,
+    window: Scalar,
+    weights: Array,
+    bias: Array,
+) -> Float[Array, "faces augmentations params"]:
+    features = _describe(descriptor, space, crops, mirrored, states, window)
+    return vmap(vmap(space.advance))(states, features @ weights + bias)
+
+
+@jax.jit
+def _regressor(projection: Projection, moments: Moments, ridge: Scalar) -> tuple[Array, Array]:
+    """Weights and bias on the raw features, rounded to what model files store, so that saving changes nothing."""
+    reduced, bias = solve(moments, ridge)
+    weights = jnp.matmul(projection.axes, reduced, precision=lax.Precision.HIGHEST)
+    weights = weights.astype(jnp.float16).astype(jnp.float32)
+    return weights, bias - jnp.matmul(projection.mean, weights, precision=lax.Precision.HIGHEST)
+
+
+def train_cascade(
+    space: ShapeSpace,
+    descriptor: Descriptor,
+    frame: Frame,
+    faces: TrainingSet,
+    spread: Spread,
+    *,
+    windows: tuple[float, ...],
+    augmentations: int,
+    variance: float,
+    ridge: float,
+    seed: int,
+    progress: Progress = lambda stage, done, total: None,
+) -> Cascade:
+    """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
+
+    Features are described batch by batch and only the moments of their principal components are kept; beside the
+    crops, a sample costs the memory of its state alone. The principal axes come from a fixed number of samples.
+
+    Args:
+        space: shape space to regress in.
+        descriptor: what is seen at a landmark.
+        frame: size of the crops.
+        faces: what to learn from.
+        spread: of the Monte Carlo starts.
+        windows: side of the descriptor window at each step, as a share of the canonical face's side; one a step.
+        augmentations: starts drawn for each face.
+        variance: share of variance that the PCA of the features keeps, in (0, 1].
+        ridge: ridge strength, relative to the mean variance of a feature.
+        seed: of the starts; the same seed on the same machine gives the same bits.
+        progress: called with the stage's name, batches done and batches in all.
+
+    Raises:
+        InputError: an option out of range, or no faces.
+    """
+    if not windows or min(windows) <= 0 or augmentations < 1 or ridge < 0 or len(faces.source) == 0:
+        raise InputError(
+            "expected at least one step, windows > 0, augmentations >= 1, ridge >= 0 and at least one face; got "
+            f"windows {windows}, augmentations {augmentations}, ridge {ridge}, {len(faces.source)} faces"
+        )
+    count = len(faces.source)
+    size = max(1, min(_BATCH // augmentations, count))
+    total = -(-count // size)
+    keys = random.split(random.key(seed), count + 1)
+    targets = np.asarray(vmap(space.encode)(jnp.asarray(faces.landmarks, jnp.float32)))
+    states = np.empty((count, augmentations, space.size), np.float32)
+    layers = []
+
+    def batches(stage: str) -> Iterator[tuple[np.ndarray, Array, Array, Array, np.ndarray]]:
+        """Face numbers, crops, flips, states and which faces are no repetition that fills the last batch."""
+        for done in range(total):
+            progress(stage, done, total)
+            rows = np.arange(done * size, (done + 1) * size)
+            valid, rows = rows < count, np.minimum(rows, count - 1)
+            yield rows, *pixels(rows), jnp.asarray(states[rows]), valid
+        progress(stage, total, total)
+
+    def pixels(rows: np.ndarray) -> tuple[Array, Array]:
+        return jnp.asarray(faces.crops[faces.source[rows]]), jnp.asarray(faces.mirrored[rows])
+
+    def project(stage: str, window: Scalar) -> Projection:
+        """Principal axes of the features of samples spread evenly over a random order of the faces."""
+        each = min(augmentations, max(1, _PCA_SAMPLES // count))
+        chosen = np.asarray(random.permutation(keys[count], count))[: _PCA_SAMPLES // each]
+        seen = []
+        for first in range(0, len(chosen), size):
+            progress(stage, first, len(chosen))
+            rows = np.resize(chosen[first : first + size], size)
+            crops, flips = pixels(rows)
+            batch = _describe_batch(descriptor, space, crops, flips, jnp.asarray(states[rows]), window)
+            seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
+        return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
+
+    for rows, _, _, _, _ in batches("drawing starts"):
+        states[rows] = _draw(space, keys[rows], augmentations, frame, spread)
+    for number, share in enumerate(windows, 1):
+        step = f"step {number}/{len(windows)}"
+        window = jnp.float32(share * frame.face)
+        projection = project(f"{step}: PCA", window)
+        moments = Moments.empty(projection.axes.shape[1], space.size)
+        for rows, crops, flips, current, valid in batches(f"{step}: features"):
+            moments = _observe(
+                descriptor, space, projection, moments, crops, flips, current, targets[rows], valid, window
+            )
+        weights, bias = _regressor(projection, moments, jnp.float32(ridge))
+        layers.append((np.asarray(weights), np.asarray(bias)))
+        if number < len(windows):
+            for rows, crops, flips, current, _ in batches(f"{step}: advancing"):
+                states[rows] = _advance(descriptor, space, crops, flips, current, window, weights, bias)
+    return Cascade(
+        space=space,
+        weights=jnp.asarray(np.stack([weights for weights, _ in layers])),
+        biases=jnp.asarray(np.stack([bias for _, bias in layers])),
+        windows=jnp.asarray(windows, jnp.float32) * frame.face,
+        descriptor=descriptor,
+        frame=frame,
+    )

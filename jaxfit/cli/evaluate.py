@@ -1,0 +1,119 @@
+"""``jaxfit evaluate``: measure a model on labelled faces."""
+
+import argparse
+import json
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from jaxfit.cli.arguments import add_boxes, add_datasets, out_folder
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.boxes import read_boxes
+from jaxfit.data.datasets import read_dataset
+from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.evaluating import Evaluation, evaluate, match_boxes, require_scheme, start_boxes
+from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
+from jaxfit.evaluation.statistics import summarise
+from jaxfit.evaluation.tables import text_table
+from jaxfit.models.files import load
+
+_COLUMNS = {
+    "dataset": "",
+    "faces": "d",
+    "mean": ".4f",
+    "± 95 %": ".4f",
+    "median": ".4f",
+    "AUC@0.08": ".3f",
+    "failure@0.08": ".3f",
+    "ms/face": ".1f",
+}
+_FACE_COLUMNS = ("dataset", "face", "subject", "image", "x", "y", "width", "height", "nmed", "problem")
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "evaluate",
+        help="measure a model on labelled faces",
+        description="Measure a model on labelled faces: normalised mean Euclidean distance (NMED), AUC and failure "
+        "rate at 0.08. Faces that are not found or cannot be read count as failures.",
+    )
+    command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
+    add_datasets(command)
+    add_boxes(command, "fits start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%")
+    command.add_argument("--seed", type=int, default=0, help="of those starting squares (default: 0)")
+    command.add_argument(
+        "--normaliser",
+        choices=NORMALISERS,
+        default="outer",
+        help="what distances are divided by: outer eye corners (default), pupil centres, bounding square",
+    )
+    command.add_argument("--out", required=True, metavar="DIR", help="where report.json and faces.csv go")
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Evaluate, print the table, write ``report.json`` and ``faces.csv``."""
+    model = load(options.model)
+    datasets = [read_dataset(spec) for spec in options.data]
+    for dataset in datasets:
+        require_scheme(model, dataset.faces)
+    boxes = read_boxes(options.boxes) if options.boxes else None
+    folder = out_folder(options.out)
+    results: dict[str, Evaluation] = {}
+    with Bars() as bars:
+        for dataset in datasets:
+            starts = start_boxes(dataset.faces, options.seed) if boxes is None else match_boxes(dataset.faces, boxes)
+            results[dataset.spec] = evaluate(
+                model,
+                dataset.faces,
+                starts,
+                kind=options.box_kind,
+                normaliser=options.normaliser,
+                progress=bars,
+            )
+    reports = {spec: _report(result) for spec, result in results.items()}
+    with atomic_write(folder / "report.json", "w") as file:
+        json.dump({"model": options.model, "datasets": reports}, file, indent=2)
+    write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
+    report_problems(
+        [problem for dataset in datasets for problem in dataset.problems]
+        + [problem for result in results.values() for problem in result.problems.values()]
+    )
+    print(f"NMED over {NORMALISER_TITLES[options.normaliser]}; faces without a fit count as failures")
+    print(text_table([_row(spec, result) for spec, result in results.items()], _COLUMNS))
+    print(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
+    return 0
+
+
+def _report(result: Evaluation) -> dict[str, Any]:
+    """One dataset's part of ``report.json``; ``ci95`` is half the width of the mean's 95 % confidence interval."""
+    seconds = result.seconds_per_face
+    return {
+        **summarise(result.errors).as_json(),
+        "normaliser": NORMALISER_TITLES[result.normaliser],
+        "seconds_per_face": seconds if math.isfinite(seconds) else None,
+    }
+
+
+def _row(spec: str, result: Evaluation) -> dict[str, object]:
+    summary = summarise(result.errors)
+    return {
+        "dataset": spec,
+        "faces": summary.faces,
+        "mean": summary.mean,
+        "± 95 %": summary.ci95,
+        "median": summary.median,
+        "AUC@0.08": summary.auc,
+        "failure@0.08": summary.failure,
+        "ms/face": result.seconds_per_face * 1000,
+    }
+
+
+def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
+    """A row for each face; ``nmed`` is ``inf`` without a fit, ``nan`` where the truth does not allow to measure."""
+    for spec, result in results.items():
+        for number, face in enumerate(result.faces):
+            box = [f"{value:.3f}" for value in result.boxes[number]]
+            nmed = f"{result.errors[number]:.6f}"
+            yield [spec, face.face, face.subject, face.image, *box, nmed, result.problems.get(number, "")]

@@ -1,0 +1,141 @@
+"""``jaxfit fit``: find landmarks in pictures."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.cli.arguments import add_boxes, out_folder
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.boxes import read_boxes
+from jaxfit.data.detection import detect_faces
+from jaxfit.data.images import find_images, read_image, to_grey, write_image
+from jaxfit.data.outputs import write_csv
+from jaxfit.data.overlays import draw_landmarks
+from jaxfit.data.pts import write_pts
+from jaxfit.exceptions import ImageError
+from jaxfit.fitting import fit, warm_up
+from jaxfit.models.files import load
+from jaxfit.models.model import SQUARE, Model
+
+# Pictures that are read, fitted and written together; it bounds memory.
+_CHUNK = 32
+
+
+@dataclass(frozen=True)
+class _Face:
+    """A face to fit: a row of ``landmarks.csv`` to be."""
+
+    picture: Path
+    name: str
+    number: int
+    kind: str
+    box: np.ndarray
+    rgb: np.ndarray
+
+    @property
+    def label(self) -> str:
+        """Name of the face's own files."""
+        return f"{self.name}_{self.number}"
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "fit",
+        help="find landmarks in pictures",
+        description="Find landmarks in pictures. Writes landmarks.csv, a .pts file a face and overlay pictures.",
+    )
+    command.add_argument("pictures", nargs="+", metavar="IMAGE_OR_DIR", help="pictures, or folders of pictures")
+    command.add_argument("--model", default="sdm68", help="a bundled model's name or a model file (default: sdm68)")
+    add_boxes(command, "faces are found by OpenCV's frontal and profile Haar cascades")
+    command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit and write; 1 if no face was fitted at all."""
+    model = load(options.model)
+    boxes = read_boxes(options.boxes) if options.boxes else None
+    model.placement(options.box_kind)
+    pictures = find_images(options.pictures)
+    folder = out_folder(options.out)
+    for part in ("pts", "overlays"):
+        out_folder(str(folder / part))
+    names = _unique_names(pictures)
+    rows: list[list[object]] = []
+    problems: list[str] = []
+    with Bars() as bars:
+        bars("compiling (cached for later runs)", 0, 1)
+        warm_up(model)
+        for first in range(0, len(pictures), _CHUNK):
+            bars("fitting pictures", first, len(pictures))
+            faces = []
+            for picture in pictures[first : first + _CHUNK]:
+                try:
+                    faces += _faces(picture, names[picture], boxes, options.box_kind)
+                except ImageError as error:
+                    problems.append(str(error))
+            fitted, complaints = _fit(model, faces)
+            problems += complaints
+            _write(folder, model, fitted)
+            rows += [_row(face, landmarks) for face, landmarks in fitted]
+        bars("fitting pictures", len(pictures), len(pictures))
+    points = [f"{axis}{i}" for i in range(1, model.scheme.count + 1) for axis in "xy"]
+    write_csv(folder / "landmarks.csv", ["image", "face", "box", "x", "y", "width", "height", *points], rows)
+    report_problems(problems)
+    print(f"{len(rows)} faces in {len(pictures)} pictures; landmarks from {options.model}")
+    print(f"written: {folder / 'landmarks.csv'}, {folder / 'pts'}, {folder / 'overlays'}")
+    return 0 if rows else 1
+
+
+def _unique_names(pictures: Sequence[Path]) -> dict[Path, str]:
+    """What the results of each picture are called: its stem, numbered where several pictures share it."""
+    seen: dict[str, int] = {}
+    names = {}
+    for picture in pictures:
+        seen[picture.stem] = seen.get(picture.stem, 0) + 1
+        names[picture] = picture.stem + (f"-{seen[picture.stem]}" if seen[picture.stem] > 1 else "")
+    return names
+
+
+def _faces(picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] | None, kind: str) -> list[_Face]:
+    """The faces of a picture: those given, or those that the detectors find."""
+    rgb = read_image(picture)
+    if boxes is None:
+        found = [(face.box, str(face.kind)) for face in detect_faces(to_grey(rgb))]
+        nothing = "no face found; give face boxes with --boxes"
+    else:
+        found = [(box, kind) for box in boxes.get(picture.name, [])]
+        nothing = "no row with this file name in --boxes"
+    if not found:
+        raise ImageError(f"{picture}: {nothing}")
+    return [_Face(picture, name, number, box_kind, box, rgb) for number, (box, box_kind) in enumerate(found, 1)]
+
+
+def _fit(model: Model, faces: Sequence[_Face]) -> tuple[list[tuple[_Face, np.ndarray]], list[str]]:
+    """The faces that could be fitted with their landmarks (L, 2), and what was wrong with the others."""
+    # A model that was trained where a detector found too few faces does not know how its boxes lie.
+    kinds = [face.kind if face.kind in model.placements else SQUARE for face in faces]
+    boxes = np.array([face.box for face in faces]).reshape(-1, 4)
+    fits = fit(model, [face.rgb for face in faces], boxes, kind=kinds)
+    fitted = [(faces[i], fits.landmarks[i]) for i in range(len(faces)) if fits.ok[i]]
+    return fitted, [f"{faces[i].picture}: {why}" for i, why in fits.problems.items()]
+
+
+def _write(folder: Path, model: Model, fitted: Sequence[tuple[_Face, np.ndarray]]) -> None:
+    """A ``.pts`` file for each face, and one overlay for each picture."""
+    overlays: dict[str, np.ndarray] = {}
+    for face, landmarks in fitted:
+        write_pts(folder / "pts" / f"{face.label}.pts", landmarks)
+        canvas = overlays.get(face.name, face.rgb)
+        overlays[face.name] = draw_landmarks(canvas, landmarks, model.scheme, box=face.box)
+    for name, overlay in overlays.items():
+        write_image(folder / "overlays" / f"{name}.jpg", overlay)
+
+
+def _row(face: _Face, landmarks: np.ndarray) -> list[object]:
+    numbers = [f"{value:.3f}" for value in (*face.box, *landmarks.reshape(-1))]
+    return [str(face.picture), face.label, face.kind, *numbers]

@@ -1,0 +1,56 @@
+"""The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+
+import jaxfit
+from jaxfit.cli import evaluate, fit, train
+from jaxfit.exceptions import JaxfitError
+
+_COMMANDS = (train, evaluate, fit)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = argparse.ArgumentParser(prog="jaxfit", description="Face landmarks by cascaded regression, in JAX.")
+    top.add_argument("--version", action="version", version=f"jaxfit {jaxfit.__version__}")
+    commands = top.add_subparsers(required=True, metavar="COMMAND")
+    for module in _COMMANDS:
+        module.add_command(commands)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 if it did what it was asked, 2 after a mistake in the request, 1 if some faces failed."""
+    options = parser().parse_args(arguments)
+    keep_compiled_code()
+    try:
+        return options.run(options)
+    except JaxfitError as error:
+        print(f"jaxfit: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("jaxfit: stopped; nothing half-written was left behind", file=sys.stderr)
+        return 130
+
+
+def keep_compiled_code() -> None:
+    """Let later runs start with what this one compiles, unless the user's own JAX settings say where."""
+    if getattr(jax.config, "jax_compilation_cache_dir", None):
+        return
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxfit"
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return  # a read-only home costs some seconds at every start, nothing else
+    jax.config.update("jax_compilation_cache_dir", str(cache))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,52 @@
+"""Progress on the terminal: a bar where someone is looking, one line a stage in logs."""
+
+import sys
+from types import TracebackType
+from typing import Any, Self
+
+from tqdm import tqdm
+
+
+class Bars:
+    """A progress callback ``(stage, done, total)`` that shows one bar a stage on standard error."""
+
+    def __init__(self) -> None:
+        self._stage = ""
+        self._bar: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._close()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show that ``done`` of ``total`` are done."""
+        if stage != self._stage:
+            self._close()
+            self._stage = stage
+            if sys.stderr.isatty():
+                self._bar = tqdm(total=total, desc=stage, dynamic_ncols=True, leave=False)
+            else:
+                print(f"{stage} …", file=sys.stderr, flush=True)
+        if self._bar is not None:
+            self._bar.total = total
+            self._bar.update(done - self._bar.n)
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+def report_problems(problems: list[str], shown: int = 20) -> None:
+    """List what went wrong, at the end, on standard error."""
+    if not problems:
+        return
+    print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''}:", file=sys.stderr)
+    for problem in problems[:shown]:
+        print(f"  {problem}", file=sys.stderr)
+    if len(problems) > shown:
+        print(f"  … and {len(problems) - shown} more", file=sys.stderr)

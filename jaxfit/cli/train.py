@@ -1,0 +1,55 @@
+"""``jaxfit train``: learn a model from labelled faces."""
+
+import argparse
+from pathlib import Path
+
+from jaxfit.cli.arguments import add_datasets, add_training, training_options
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.datasets import read_dataset
+from jaxfit.exceptions import InputError
+from jaxfit.models.files import SUFFIX, save
+from jaxfit.training import train
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "train",
+        help="learn a model from labelled faces",
+        description="Learn a model from labelled faces. Faces with missing landmarks are left out and counted.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    add_datasets(command)
+    command.add_argument("--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write")
+    add_training(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train and save."""
+    out = Path(options.out)
+    if out.suffix != SUFFIX or not out.parent.is_dir():
+        # Better before an hour of training than after it.
+        raise InputError(f"--out: expected a file name ending in {SUFFIX} in a folder that exists; got {out}")
+    datasets = [read_dataset(spec) for spec in options.data]
+    scheme = datasets[0].scheme
+    for dataset in datasets[1:]:
+        if dataset.scheme != scheme:
+            raise InputError(
+                f"datasets must share their landmarks: {datasets[0].spec} has {scheme.name}, "
+                f"{dataset.spec} has {dataset.scheme.name}"
+            )
+    with Bars() as bars:
+        trained = train(
+            [face for dataset in datasets for face in dataset.faces],
+            scheme,
+            method=options.method,
+            options=training_options(options, scheme),
+            progress=bars,
+        )
+    save(trained.model, out)
+    report_problems([problem for dataset in datasets for problem in dataset.problems] + list(trained.problems))
+    size = out.stat().st_size / 2**20
+    print(f"{out}: {options.method}, {scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
+    print(f"boxes it knows: {', '.join(trained.model.placements)}")
+    return 0

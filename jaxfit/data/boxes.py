@@ -1,0 +1,92 @@
+"""Face boxes: arrays (4,) float64 of x, y, width, height, in pixels."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.exceptions import InputError
+
+_COLUMNS = ("image", "x", "y", "width", "height")
+
+
+def bounding_square(landmarks: np.ndarray) -> np.ndarray:
+    """The square (4,) around the finite points of ``landmarks`` (L, 2): their rectangle, its shorter side grown.
+
+    Raises:
+        InputError: no point is finite.
+    """
+    known = landmarks[np.isfinite(landmarks).all(1)]
+    if not len(known):
+        raise InputError("a face needs at least one known landmark to have a box; got none")
+    low, high = known.min(0), known.max(0)
+    side = (high - low).max()
+    return np.array([*((low + high - side) / 2), side, side])
+
+
+def box_centre(box: np.ndarray) -> np.ndarray:
+    """The centre (2,) of a box (4,)."""
+    return box[:2] + box[2:] / 2
+
+
+def jitter(box: np.ndarray, rng: np.random.Generator, shift: float = 0.06, scale: float = 0.08) -> np.ndarray:
+    """A box (4,) as another detector might have drawn it.
+
+    Args:
+        box: (4,).
+        rng: where the noise comes from.
+        shift: standard deviation of the centre's move, in sides.
+        scale: standard deviation of the logarithm of the factor on both sides.
+    """
+    centre = box_centre(box) + rng.normal(0, shift, 2) * box[2:]
+    sides = box[2:] * np.exp(rng.normal(0, scale))
+    return np.concatenate([centre - sides / 2, sides])
+
+
+def box_problem(box: np.ndarray, image_shape: tuple[int, ...]) -> str | None:
+    """Why no face can be looked for in a box (4,) of an image (H, W, …), as a sentence; None if one can."""
+    height, width = image_shape[:2]
+    x, y, box_width, box_height = box
+    if not np.isfinite(box).all():
+        return "the face box has a coordinate that is not a finite number"
+    if box_width <= 0 or box_height <= 0:
+        return f"the face box has no area: width {box_width:g}, height {box_height:g}"
+    if x >= width or y >= height or x + box_width <= 0 or y + box_height <= 0:
+        return f"the face box lies outside the {width} x {height} picture: x {x:g}, y {y:g}"
+    return None
+
+
+def read_boxes(path: str | Path) -> dict[str, list[np.ndarray]]:
+    """Boxes (4,) by the picture's file name, from a CSV file with the columns image, x, y, width and height.
+
+    Columns may come in any order and beside others; of ``image`` only the file name counts.
+
+    Raises:
+        InputError: the file is missing, not CSV, lacks a column, or has a cell that is not a number.
+    """
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            reader = csv.DictReader(file)
+            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+            if missing:
+                raise InputError(f"{path}, line 1: expected the columns {','.join(_COLUMNS)}; no {', '.join(missing)}")
+            return _boxes(path, reader)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: expected a CSV file of face boxes; {error}") from error
+
+
+def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[np.ndarray]]:
+    boxes: dict[str, list[np.ndarray]] = {}
+    for row in reader:
+        name = Path(row["image"].strip()).name
+        try:
+            box = np.array([float(row[column]) for column in _COLUMNS[1:]])
+        # TypeError: a short row has None in its last cells.
+        except (ValueError, TypeError):
+            cells = ", ".join(str(row[column]) for column in _COLUMNS[1:])
+            message = f"{path}, line {reader.line_num}: expected numbers x, y, width, height; got {cells}"
+            raise InputError(message) from None
+        if not name:
+            raise InputError(f"{path}, line {reader.line_num}: expected the picture's file name; got none")
+        boxes.setdefault(name, []).append(box)
+    return boxes

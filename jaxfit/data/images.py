@@ -1,0 +1,151 @@
+"""Pictures from and to files: whole, upright, 8-bit, or a clear reason why not."""
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from jaxfit.data.outputs import atomic_write
+from jaxfit.exceptions import ImageError, InputError
+
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
+# Taken up from folders all the same, so that read_image says what is wrong with them.
+_UNREADABLE_SUFFIXES = (".heic", ".heif")
+_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+
+
+def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
+    """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped and 16 bits become 8.
+
+    Args:
+        path: the file.
+        exif: turn the picture upright as its EXIF orientation says. Labels of data sets mostly belong to the pixels as
+            they are stored: read those with False.
+
+    Raises:
+        ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise ImageError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if complaint := _complaint(data):
+        raise ImageError(f"{path}: {complaint}")
+    flags = cv2.IMREAD_COLOR if exif else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        with _quiet():
+            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise ImageError(f"{path}: cannot be decoded ({error.err or error})") from error
+    if picture is None:
+        raise ImageError(f"{path}: not a picture, damaged, or of a format that OpenCV does not read")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def write_image(path: str | Path, rgb: np.ndarray) -> None:
+    """Write a picture, uint8 (H, W, 3) RGB or (H, W) grey, in the format that the name's suffix says, atomically.
+
+    Raises:
+        InputError: no format has this suffix, or the folder is missing.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in PICTURE_SUFFIXES:
+        raise InputError(f"cannot write {path}: expected a name ending in one of {' '.join(PICTURE_SUFFIXES)}")
+    stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
+    _, encoded = cv2.imencode(suffix, stored)
+    with atomic_write(path) as file:
+        file.write(encoded.tobytes())
+
+
+def to_grey(image: np.ndarray) -> np.ndarray:
+    """Luminance, uint8 (H, W), of a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA.
+
+    Transparency is dropped, of 16 bits the upper 8 are kept.
+
+    Raises:
+        ImageError: another type of number, another number of axes or channels, or no pixels.
+    """
+    image = np.asarray(image)  # None, as from a failed cv2.imread, is refused below like any other object
+    channels = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
+    if image.dtype not in (np.uint8, np.uint16) or channels not in (1, 3, 4) or not image.size:
+        raise ImageError(
+            "expected a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA with at least one "
+            f"pixel; got {image.dtype} {image.shape}"
+        )
+    if image.dtype == np.uint16:
+        image = (image >> 8).astype(np.uint8)
+    if channels == 1:
+        return np.ascontiguousarray(image.reshape(image.shape[:2]))
+    return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_RGB2GRAY)
+
+
+def find_images(paths: Iterable[str | Path]) -> list[Path]:
+    """The files among ``paths`` and the pictures directly in the folders among them, folders sorted by name.
+
+    What is named twice comes once. Hidden files in folders are left out.
+
+    Raises:
+        InputError: a path does not exist, or a folder has no picture.
+    """
+    found: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            found += _pictures_in(path)
+        elif path.exists():
+            found.append(path)
+        else:
+            raise InputError(f"no such file or folder: {path}")
+    return list(dict.fromkeys(found))
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    wanted = (*PICTURE_SUFFIXES, *_UNREADABLE_SUFFIXES)
+    pictures = sorted(
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in wanted and file.is_file() and not file.name.startswith(".")
+    )
+    if not pictures:
+        raise InputError(f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}")
+    return pictures
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Damaged files are reported once, with the file's name; OpenCV would print its own account."""
+    log = cv2.utils.logging
+    level = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(level)
+
+
+def _complaint(data: bytes) -> str | None:
+    """Why not to decode ``data``; OpenCV's own answer is often silence and a picture that is grey from some row on."""
+    if not data:
+        return "the file is empty"
+    if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
+        return "HEIC pictures are not supported; convert it to JPEG"
+    jpeg = data.startswith(b"\xff\xd8")
+    png = data.startswith(b"\x89PNG\r\n\x1a\n")
+    if (jpeg and not _jpeg_ends(data)) or (png and b"IEND" not in data):
+        return "the file is truncated; copy or download it again"
+    return None
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    """Whether the picture's own end marker comes; those of embedded thumbnails and of appended files do not count."""
+    # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan.
+    marker = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
+    at = 2
+    while found := marker.search(data, at):
+        if found[1] == b"\xd9":
+            return True
+        # Every other marker, start of scan included, heads a segment that gives its own length.
+        at = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
+    return False

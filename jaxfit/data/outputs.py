@@ -1,0 +1,53 @@
+"""Writing files whole or not at all: a crash, a full disk or Ctrl-C never leaves half a file under the final name."""
+
+import csv
+import os
+import secrets
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from jaxfit.exceptions import InputError
+
+
+@contextmanager
+def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
+    """A file to write to that becomes ``path`` when the block ends, and vanishes when the block raises.
+
+    Text (``mode="w"``) is UTF-8 and newlines are written as they are given.
+
+    Raises:
+        InputError: the folder does not exist, or ``path`` is something other than a file.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise InputError(f"cannot write {path}: the folder {path.parent} does not exist; create it first")
+    # Replacing a device such as /dev/null, or a folder, would destroy it.
+    if path.exists() and not path.is_file():
+        raise InputError(f"cannot write {path}: it exists and is not a regular file; name a file instead")
+    # In the same folder, because a file can only be renamed atomically within one file system. Plain open()
+    # instead of tempfile, whose files nobody else may read.
+    temporary = path.parent / f".{secrets.token_hex(8)}.tmp"
+    try:
+        text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
+        with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Write ``rows`` under ``header`` as comma-separated values, atomically.
+
+    Raises:
+        InputError: as :func:`atomic_write`.
+    """
+    with atomic_write(path, "w") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)

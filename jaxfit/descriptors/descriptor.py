@@ -1,0 +1,22 @@
+"""The seam for descriptors: what the cascade asks of one."""
+
+from typing import Any, Protocol
+
+from jaxfit.types import Crop, Features, Point, Scalar
+
+
+class Descriptor(Protocol):
+    """Describes a landmark's neighbourhood; immutable and hashable, so that it can be part of a compiled function."""
+
+    @property
+    def size(self) -> int:
+        """Length of one landmark's vector."""
+        ...
+
+    def prepare(self, crop: Crop) -> Any:
+        """What is computed once per face, whatever the number of landmarks, steps and initialisations."""
+        ...
+
+    def describe(self, prepared: Any, point: Point, side: Scalar) -> Features:
+        """The vector of one landmark at ``point``, in a window of ``side`` pixels."""
+        ...

@@ -1,0 +1,141 @@
+"""The simplified SIFT of thesis 3.1: 32 × 32 samples, 4 × 4 cells, 8 orientations."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jax import lax
+from jax import numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxfit.image.sampling import bilinear, bilinear_grid
+from jaxfit.image.smoothing import smooth
+from jaxfit.types import Crop, Features, Picture, Point, Scalar
+
+SAMPLES = 32  # along a window's side, whatever its size in pixels
+CELLS = 4
+BINS = 8
+ORIENTATION_BINS = 36
+_WEIGHT_SIGMA = SAMPLES / 2
+_OFFSETS = np.arange(SAMPLES) - (SAMPLES - 1) / 2
+_FRAMED = np.arange(-1, SAMPLES + 1) - (SAMPLES - 1) / 2  # one sample more on each side, for central differences
+_WEIGHTS = np.exp(-(_OFFSETS[:, None] ** 2 + _OFFSETS[None, :] ** 2) / (2 * _WEIGHT_SIGMA**2)).astype(np.float32)
+
+Samples = Float[Array, "32 32"]
+Window = Float[Array, "34 34"]
+
+
+@dataclass(frozen=True)
+class Sift:
+    """Simplified SIFT; the defaults are what the cascade uses best, not what the thesis prints.
+
+    Attributes:
+        orientation: ``"principal"`` rotates the window by the landmark's principal gradient orientation (thesis 3.1);
+            ``"upright"`` keeps the picture's axes (the original SDM).
+        normalisation: ``"cell"`` makes each cell's histogram sum to 1 (thesis 3.1); ``"vector"`` gives the whole
+            vector Euclidean length 1 (Lowe).
+    """
+
+    orientation: Literal["upright", "principal"] = "upright"
+    normalisation: Literal["cell", "vector"] = "cell"
+
+    @property
+    def size(self) -> int:
+        """Length of one landmark's vector."""
+        return CELLS * CELLS * BINS
+
+    def prepare(self, crop: Crop) -> Picture:
+        """The crop, smoothed by σ = 1.6 pixels."""
+        return smooth(crop.astype(jnp.float32))
+
+    def describe(self, prepared: Picture, point: Point, side: Scalar) -> Features:
+        """The (128,) descriptor at ``point`` in a window of ``side`` pixels: 4 × 4 cells (rows first) × 8 bins.
+
+        The 32 × 32 samples are spread over the window whatever its size, and differences are taken between
+        neighbouring samples: a picture twice as large, in a window twice as large, has the same descriptor.
+        """
+        spacing = side / SAMPLES
+        window = upright_window(prepared, point, spacing)
+        if self.orientation == "principal":
+            window = rotated_window(prepared, point, spacing, principal_orientation(window))
+        return normalise(cell_histograms(window), self.normalisation)
+
+
+def upright_window(picture: Picture, point: Point, spacing: Scalar) -> Window:
+    """The picture at 32 × 32 samples around ``point``, and one more on each side, ``spacing`` pixels apart."""
+    offsets = jnp.asarray(_FRAMED, jnp.float32) * spacing
+    return bilinear_grid(picture, point[0] + offsets, point[1] + offsets)
+
+
+def rotated_window(picture: Picture, point: Point, spacing: Scalar, angle: Scalar) -> Window:
+    """The same along axes rotated by ``angle`` radians (Eq. 5).
+
+    Positive angles turn the x axis towards the y axis, which is clockwise as seen, ``y`` being down.
+    """
+    offsets = jnp.asarray(_FRAMED, jnp.float32) * spacing
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    x = point[0] + offsets[None, :] * cos - offsets[:, None] * sin
+    y = point[1] + offsets[None, :] * sin + offsets[:, None] * cos
+    return bilinear(picture, x, y)
+
+
+def gradients(window: Window) -> tuple[Samples, Samples]:
+    """Differences dx, dy between each sample's neighbours along the window's axes (Eq. 3, 4)."""
+    # A look-up of all lines in their order changes nothing, but XLA keeps what is looked up in memory. It would
+    # otherwise sample the picture again for each bin of the histograms, which takes three times as long.
+    window = window.at[jnp.arange(SAMPLES + 2)].get(mode="promise_in_bounds")
+    dx = window[1:-1, 2:] - window[1:-1, :-2]
+    dy = window[2:, 1:-1] - window[:-2, 1:-1]
+    return dx, dy
+
+
+def magnitude(dx: Float[Array, "*n"], dy: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """Gradient magnitudes (Eq. 4); the derivative is zero, not NaN, where the picture is flat."""
+    squared = dx**2 + dy**2
+    flat = squared == 0
+    return jnp.where(flat, 0.0, jnp.sqrt(jnp.where(flat, 1.0, squared)))
+
+
+def octant(dx: Float[Array, "*n"], dy: Float[Array, "*n"]) -> Int[Array, "*n"]:
+    """Bin 0..7 of the gradients' orientations (Eq. 3), bin k covering [k, k + 1) · 45°, without slow arctangents."""
+    upper = (dy > 0) | ((dy == 0) & (dx >= 0))
+    x, y = jnp.where(upper, dx, -dx), jnp.where(upper, dy, -dy)
+    within_half = (y >= x).astype(jnp.int32) + (x <= 0) + (y <= -x)
+    return jnp.where(upper, 0, 4) + jnp.where((x == 0) & (y == 0), 0, within_half)
+
+
+def principal_orientation(window: Window) -> Scalar:
+    """Centre, in radians, of the fullest of 36 bins of gradient orientation, magnitudes weighted by a Gaussian."""
+    dx, dy = gradients(window)
+    turns = (jnp.arctan2(dy, dx) / (2 * math.pi)) % 1.0
+    bins = jnp.minimum((turns * ORIENTATION_BINS).astype(jnp.int32), ORIENTATION_BINS - 1)
+    histogram = jnp.zeros(ORIENTATION_BINS).at[bins].add(magnitude(dx, dy) * _WEIGHTS)
+    # The fullest bin is a choice: it passes no gradient, and arctan2 has none at flat places.
+    return lax.stop_gradient((jnp.argmax(histogram) + 0.5) * (2 * math.pi / ORIENTATION_BINS))
+
+
+def cell_histograms(window: Window) -> Float[Array, "16 8"]:
+    """Histograms of gradient orientation of the 4 × 4 cells, magnitudes weighted by a Gaussian of σ = 16 samples."""
+    dx, dy = gradients(window)
+    side = SAMPLES // CELLS
+    weighted = (magnitude(dx, dy) * _WEIGHTS).reshape(CELLS, side, SAMPLES)
+    bins = octant(dx, dy).reshape(CELLS, side, SAMPLES)
+
+    def lines(k: int) -> Float[Array, "4 32"]:
+        # Added line by line: on CPU this is ten times faster than XLA's reductions and scatters.
+        parts = [jnp.where(bins[:, i] == k, weighted[:, i], 0.0) for i in range(side)]
+        return sum(parts[1:], start=parts[0])
+
+    cells = jnp.stack([lines(k) for k in range(BINS)]).reshape(BINS, CELLS, CELLS, side).sum(3)
+    return jnp.moveaxis(cells, 0, 2).reshape(CELLS * CELLS, BINS)
+
+
+def normalise(histograms: Float[Array, "16 8"], how: Literal["cell", "vector"]) -> Features:
+    """The histograms as one vector of length 128; what is empty stays zero."""
+    if how == "cell":
+        total = histograms.sum(1, keepdims=True)
+    else:
+        squared = jnp.sum(histograms**2)
+        total = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
+    return (histograms / jnp.where(total > 0, total, 1.0)).reshape(-1)

@@ -1,0 +1,148 @@
+"""Measuring a model on labelled faces: starting boxes, fits, errors; every face is accounted for."""
+
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxfit.data.boxes import bounding_square, box_centre, jitter
+from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.records import FaceRecord
+from jaxfit.evaluation.errors import nmed
+from jaxfit.exceptions import ImageError, InputError
+from jaxfit.fitting import BATCHES, fit, warm_up
+from jaxfit.models.model import SQUARE, Model
+
+_NO_BOX = np.full(4, np.nan)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Fits of N labelled faces and their errors.
+
+    Attributes:
+        faces: the N faces.
+        boxes: (N, 4) the boxes that the fits started from, in pixels; NaN where there was none.
+        landmarks: (N, L, 2) the fits, in the pixels of each picture; NaN where there is none.
+        errors: (N,) NMED (Eq. 16); ``inf`` where there is no fit, NaN where the truth does not allow to measure.
+        normaliser: what the errors are relative to: ``"outer"``, ``"pupil"`` or ``"box"``.
+        problems: for each face without a fit, its number and why.
+        seconds_per_face: cropping and fitting, compiled, without reading files; NaN if nothing was fitted.
+    """
+
+    faces: tuple[FaceRecord, ...]
+    boxes: np.ndarray
+    landmarks: np.ndarray
+    errors: np.ndarray
+    normaliser: str
+    problems: dict[int, str]
+    seconds_per_face: float
+
+
+def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
+    """Boxes (N, 4) to start from: the true landmarks' bounding square, moved by N(0, 6 %) of its side in x and y and
+    scaled by exp(N(0, 8 %)).
+
+    A face gets the same box whatever other faces come with it. A face without any landmark gets NaN.
+    """
+    boxes = []
+    for face in faces:
+        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
+        boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else _NO_BOX)
+    return np.array(boxes).reshape(-1, 4)
+
+
+def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[np.ndarray]]) -> np.ndarray:
+    """Boxes (N, 4) from those given by picture name; of several in a picture, the one nearest to the face.
+
+    NaN where the picture has none: such a face counts as undetected.
+    """
+    boxes = []
+    for face in faces:
+        given = named.get(face.image.name, [])
+        if len(given) > 1 and face.present.any():
+            middle = box_centre(bounding_square(face.landmarks))
+            given = sorted(given, key=lambda box: float(np.hypot(*(box_centre(box) - middle))))
+        boxes.append(given[0] if len(given) else _NO_BOX)
+    return np.array(boxes).reshape(-1, 4)
+
+
+def evaluate(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    *,
+    kind: str = SQUARE,
+    normaliser: str = "outer",
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> Evaluation:
+    """Fit labelled faces from given boxes and measure the errors.
+
+    Args:
+        model: the model.
+        faces: N faces of the model's landmark scheme.
+        boxes: (N, 4) x, y, width, height in pixels; a NaN box is an undetected face: a failure.
+        kind: what drew the boxes, one of ``model.placements``.
+        normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
+        progress: called with the stage's name, faces done and faces in all.
+
+    Raises:
+        InputError: faces of another number of landmarks, boxes of another number, or an unknown normaliser or kind.
+    """
+    boxes = np.asarray(boxes, np.float64)
+    if boxes.shape != (len(faces), 4):
+        raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
+    require_scheme(model, faces)
+    model.placement(kind)
+    truth = np.array([face.landmarks for face in faces]).reshape(-1, model.scheme.count, 2)
+    landmarks = np.full_like(truth, np.nan)
+    nmed(landmarks[:0], truth[:0], model.scheme, normaliser)  # a wrong normaliser stops before the work
+    if faces:
+        progress("compiling (cached for later runs)", 0, len(faces))
+        warm_up(model)
+    problems: dict[int, str] = {}
+    seconds, fitted = 0.0, 0
+    for first in range(0, len(faces), BATCHES[0]):
+        progress("fitting", first, len(faces))
+        rows, pictures = [], []
+        for number in range(first, min(first + BATCHES[0], len(faces))):
+            if not np.isfinite(boxes[number]).all():
+                problems[number] = f"{faces[number].image}: no face box"
+                continue
+            try:
+                pictures.append(to_grey(read_image(faces[number].image, exif=False)))
+                rows.append(number)
+            except ImageError as error:
+                problems[number] = str(error)
+        begin = time.perf_counter()
+        fits = fit(model, pictures, boxes[rows].reshape(-1, 4), kind=kind)
+        seconds += time.perf_counter() - begin
+        fitted += len(rows)
+        landmarks[rows] = fits.landmarks
+        problems |= {rows[i]: f"{faces[rows[i]].image}: {why}" for i, why in fits.problems.items()}
+    progress("fitting", len(faces), len(faces))
+    return Evaluation(
+        faces=tuple(faces),
+        boxes=boxes,
+        landmarks=landmarks,
+        errors=nmed(landmarks, truth, model.scheme, normaliser),
+        normaliser=normaliser,
+        problems=problems,
+        seconds_per_face=seconds / fitted if fitted else float("nan"),
+    )
+
+
+def require_scheme(model: Model, faces: Sequence[FaceRecord]) -> None:
+    """Check that faces have the model's landmarks.
+
+    Raises:
+        InputError: they do not.
+    """
+    for face in faces:
+        if len(face.landmarks) != model.scheme.count:
+            raise InputError(
+                f"the model finds {model.scheme.count} landmarks ({model.scheme.name}), but {face.image} is labelled "
+                f"with {len(face.landmarks)}; train a model on faces labelled like these"
+            )

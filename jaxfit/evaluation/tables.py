@@ -1,0 +1,44 @@
+"""Tables of results: aligned plain text for terminals, Markdown for documents."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+Row = Mapping[str, object]
+
+
+def text_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:
+    """Aligned plain text; columns of numbers are flush right.
+
+    Args:
+        rows: values by heading; a missing one, None or NaN shows as ``-``.
+        columns: for each heading, in order, how its floats are formatted, such as ``.4f``; ``""`` for plain.
+    """
+    lines = [list(columns), *_cells(rows, columns)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    lines.insert(1, ["-" * width for width in widths])
+    formats = [f"{'>' if _is_numeric(rows, name) else '<'}{width}" for name, width in zip(columns, widths, strict=True)]
+    return "\n".join("  ".join(map(format, line, formats)).rstrip() for line in lines)
+
+
+def markdown_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:
+    """A Markdown table of the rows; see ``text_table`` for the arguments."""
+    rules = ["---:" if _is_numeric(rows, name) else "---" for name in columns]
+    lines = [list(columns), rules, *_cells(rows, columns)]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def _cells(rows: Sequence[Row], columns: Mapping[str, str]) -> list[list[str]]:
+    return [[_cell(row.get(name), spec) for name, spec in columns.items()] for row in rows]
+
+
+def _cell(value: object, spec: str) -> str:
+    if isinstance(value, float | np.floating):
+        return "-" if math.isnan(value) else format(float(value), spec)
+    return "-" if value is None else str(value)
+
+
+def _is_numeric(rows: Sequence[Row], name: str) -> bool:
+    values = [row.get(name) for row in rows]
+    return all(value is None or isinstance(value, int | float | np.number) for value in values)

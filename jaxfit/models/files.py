@@ -1,0 +1,167 @@
+"""Model files: safetensors with one JSON header. Anyone may open them: nothing in them is ever executed."""
+
+import dataclasses
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as parse_tensors
+from safetensors.numpy import save as pack_tensors
+
+from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.train import Spread
+from jaxfit.data.outputs import atomic_write
+from jaxfit.data.placements import Placement
+from jaxfit.descriptors.sift import Sift
+from jaxfit.exceptions import InputError, JaxfitError, ModelError
+from jaxfit.image.frame import Frame
+from jaxfit.models.model import Model
+from jaxfit.shapes.points import PointSpace
+from jaxfit.shapes.schemes import scheme_named
+
+FORMAT = 1
+SUFFIX = ".safetensors"
+
+# What files call the classes that a model is made of; a new shape space or descriptor is a line here.
+_SPACES: dict[str, type] = {"points": PointSpace}
+_DESCRIPTORS: dict[str, type] = {"sift": Sift}
+_KEY = "jaxfit"
+
+
+def save(model: Model, path: str | Path) -> None:
+    """Write a model to ``path`` (ending in ``.safetensors``), atomically; the same model gives the same bytes.
+
+    Weights are stored as float16, the precision that training rounds them to.
+
+    Raises:
+        InputError: the name does not end in ``.safetensors`` or its folder does not exist.
+    """
+    path = Path(path)
+    if path.suffix != SUFFIX or not path.parent.is_dir():
+        raise InputError(f"expected a file name ending in {SUFFIX} in a folder that exists; got {path}")
+    cascade = model.cascade
+    space = vars(cascade.space)
+    tensors: dict[str, np.ndarray] = {
+        "weights": np.asarray(cascade.weights, np.float16),
+        "biases": np.asarray(cascade.biases, np.float32),
+        "windows": np.asarray(cascade.windows, np.float32),
+        **{f"space.{name}": np.asarray(value, np.float32) for name, value in space.items()},
+    }
+    header = {
+        "format": FORMAT,
+        "space": _name_of(_SPACES, cascade.space),
+        "descriptor": {
+            "kind": _name_of(_DESCRIPTORS, cascade.descriptor),
+            **vars(cascade.descriptor),
+        },
+        "frame": dataclasses.asdict(cascade.frame),
+        "scheme": model.scheme.name,
+        "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
+        "training": model.training,
+    }
+    # One metadata entry only: the format does not fix the order of several, and equal models must be equal files.
+    data = pack_tensors(tensors, {_KEY: json.dumps(header, sort_keys=True)})
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def bundled() -> list[str]:
+    """Names of the models that come with the package."""
+    folder = resources.files("jaxfit.models") / "bundled"
+    if not folder.is_dir():
+        return []
+    return sorted(item.name.removesuffix(SUFFIX) for item in folder.iterdir() if item.name.endswith(SUFFIX))
+
+
+def load(name: str | Path) -> Model:
+    """Load a bundled model by name, or a model file by path.
+
+    Raises:
+        ModelError: no such model, or a file that is damaged or of another format version.
+    """
+    if str(name) in bundled():
+        data = (resources.files("jaxfit.models") / "bundled" / f"{name}{SUFFIX}").read_bytes()
+    else:
+        try:
+            data = Path(name).read_bytes()
+        except OSError as error:
+            raise ModelError(
+                f"no model {str(name)!r}: expected one of the bundled models ({', '.join(bundled()) or 'none'}) or "
+                f"the path of a model file ({error.strerror})"
+            ) from None
+    try:
+        return _parse(data)
+    except ModelError as error:
+        raise ModelError(f"{name}: {error}") from None
+    except (SafetensorError, JaxfitError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(f"{name}: not a jaxfit model, or damaged ({error}); copy or train it again") from None
+
+
+def _parse(data: bytes) -> Model:
+    length = int.from_bytes(data[:8], "little")
+    metadata = json.loads(data[8 : 8 + length]).get("__metadata__", {})
+    if _KEY not in metadata:
+        raise ModelError("not a jaxfit model: a safetensors file without our header")
+    header = json.loads(metadata[_KEY])
+    if header["format"] != FORMAT:
+        raise ModelError(
+            f"model format {header['format']}, but this release reads format {FORMAT}; "
+            "use the release it was made with, or train it again"
+        )
+    tensors = parse_tensors(data)
+    cascade = _cascade(header, tensors)
+    return Model(
+        cascade=cascade,
+        scheme=scheme_named(header["scheme"]),
+        placements={kind: _placement(place) for kind, place in header["placements"].items()},
+        training=header["training"],
+    )
+
+
+def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
+    space_class = _SPACES[header["space"]]
+    space = space_class(
+        **{
+            field.name: jnp.asarray(tensors[f"space.{field.name}"], jnp.float32)
+            for field in dataclasses.fields(space_class)
+        }
+    )
+    options = dict(header["descriptor"])
+    descriptor = _DESCRIPTORS[options.pop("kind")](**options)
+    count = scheme_named(header["scheme"]).count
+    steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
+    expected = {"weights": (steps, features, params), "biases": (steps, params), "windows": (steps,)}
+    for name, shape in expected.items():
+        if tensors[name].shape != shape:
+            raise ModelError(f"damaged: {name} has shape {tensors[name].shape}, expected {shape}")
+        if not np.isfinite(tensors[name]).all():
+            raise ModelError(f"damaged: {name} has values that are not finite numbers")
+    return Cascade(
+        space=space,
+        weights=jnp.asarray(tensors["weights"], jnp.float32),
+        biases=jnp.asarray(tensors["biases"], jnp.float32),
+        windows=jnp.asarray(tensors["windows"], jnp.float32),
+        descriptor=descriptor,
+        frame=Frame(**header["frame"]),
+    )
+
+
+def _placement(values: dict[str, Any]) -> Placement:
+    spread = values["spread"]
+    return Placement(
+        shift=(float(values["shift"][0]), float(values["shift"][1])),
+        log_scale=float(values["log_scale"]),
+        spread=Spread(
+            (float(spread["shift"][0]), float(spread["shift"][1])),
+            float(spread["log_scale"]),
+            float(spread["rotation"]),
+        ),
+    )
+
+
+def _name_of(names: dict[str, type], thing: object) -> str:
+    return next(name for name, kind in names.items() if type(thing) is kind)

@@ -1,0 +1,42 @@
+"""A model: a trained cascade with what is needed to use it on pictures."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from jaxfit.cascade.model import Cascade
+from jaxfit.data.placements import Placement
+from jaxfit.exceptions import InputError
+from jaxfit.shapes.schemes import Scheme
+
+SQUARE = "square"  # the kind of box that every model knows: the bounding square of the landmarks, give or take
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained cascade, what its landmarks mean, and how faces lie in boxes.
+
+    Attributes:
+        cascade: the trained parameters: the pytree that jitted functions take.
+        scheme: what the landmarks mean.
+        placements: for each kind of face box, where faces lie in it; ``"square"`` is always there.
+        training: how it was made: method, options, numbers of faces; plain JSON values.
+    """
+
+    cascade: Cascade
+    scheme: Scheme
+    placements: dict[str, Placement]
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if SQUARE not in self.placements:
+            raise InputError(f"a model needs the placement of {SQUARE!r} boxes; got {sorted(self.placements)}")
+
+    def placement(self, kind: str) -> Placement:
+        """Where faces lie in boxes of a kind.
+
+        Raises:
+            InputError: the model was not trained for that kind of box.
+        """
+        if kind not in self.placements:
+            raise InputError(f"this model knows boxes of the kinds {', '.join(self.placements)}; got {kind!r}")
+        return self.placements[kind]

@@ -1,0 +1,54 @@
+"""The seam for shape spaces: a coordinate system for faces."""
+
+from typing import NamedTuple, Protocol
+
+from jaxtyping import Array, Float
+
+from jaxfit.types import Landmarks, Params, Point, Scalar
+
+
+class Start(NamedTuple):
+    """Where a face is first believed to be, in crop pixels.
+
+    Attributes:
+        centre: (2,) centre of the face.
+        scale: size relative to the canonical face of the crop.
+        rotation: radians, clockwise as seen.
+    """
+
+    centre: Point
+    scale: Scalar
+    rotation: Scalar
+
+
+class ShapeSpace(Protocol):
+    """Turns a parameter vector into landmarks and a step into new parameters; every array is one face, a pytree."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        ...
+
+    def landmarks(self, params: Params) -> Landmarks:
+        """Where to look, in crop pixels."""
+        ...
+
+    def scale(self, params: Params) -> Scalar:
+        """Size of the face relative to the canonical face; descriptor windows grow with it."""
+        ...
+
+    def encode(self, landmarks: Landmarks) -> Params:
+        """The best parameters for known landmarks: training targets."""
+        ...
+
+    def place(self, start: Start) -> Params:
+        """The mean face at a start."""
+        ...
+
+    def difference(self, target: Params, params: Params) -> Float[Array, "params"]:
+        """The step that leads from ``params`` to ``target``, free of scale: what a regressor learns."""
+        ...
+
+    def advance(self, params: Params, step: Float[Array, "params"]) -> Params:
+        """Apply a step."""
+        ...

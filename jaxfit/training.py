@@ -1,0 +1,199 @@
+"""Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxfit import __version__
+from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
+from jaxfit.data.boxes import bounding_square, jitter
+from jaxfit.data.crops import Crops, cut
+from jaxfit.data.detection import best_match, detect_faces
+from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.placements import Placement, measure_placement
+from jaxfit.data.records import FaceRecord
+from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.descriptors.sift import Sift
+from jaxfit.exceptions import ImageError, InputError
+from jaxfit.image.frame import Frame
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.points import PointSpace, mean_face
+from jaxfit.shapes.schemes import Scheme, mirrored
+
+THESIS_WINDOW = 32 / Frame().face  # 32 pixels, on a face of the canonical size
+# Faces in which detectors are run to learn how their boxes lie; enough for means and spreads.
+_DETECTED_FACES = 400
+_FEWEST_DETECTED = 20
+_SILENT: Progress = lambda stage, done, total: None  # noqa: E731
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to train.
+
+    Attributes:
+        windows: side of the descriptor window at each step, as a share of the face's side; one number a step. The
+            thesis's constant is ``(THESIS_WINDOW,) * steps``.
+        augmentations: starts drawn for each face; a mirrored face counts as a face of its own.
+        variance: share of the features' variance that the PCA keeps, in (0, 1].
+        ridge: strength of the ridge penalty, relative to the mean variance of a feature; 0 is plain least squares.
+        spread: factor on the measured spread of the starts.
+        mirror: train on mirrored pictures too.
+        seed: of boxes and starts.
+        descriptor: what is seen at a landmark.
+        frame: size of the crops.
+    """
+
+    windows: tuple[float, ...] = (0.45, 0.34, 0.26, 0.2, 0.15)
+    augmentations: int = 10
+    variance: float = 0.97
+    ridge: float = 0.5
+    spread: float = 1.0
+    mirror: bool = True
+    seed: int = 0
+    descriptor: Descriptor = field(default_factory=Sift)
+    frame: Frame = field(default_factory=Frame)
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What training gives.
+
+    Attributes:
+        model: the model.
+        faces: number of faces it learned from, mirrored ones not counted.
+        problems: what was left out and why, a sentence each.
+    """
+
+    model: Model
+    faces: int
+    problems: tuple[str, ...]
+
+
+# Methods by name: each makes the shape space from the mean face.
+METHODS = {"sdm": PointSpace}
+
+
+def train(
+    faces: Sequence[FaceRecord],
+    scheme: Scheme,
+    *,
+    method: str = "sdm",
+    options: Options | None = None,
+    progress: Progress = _SILENT,
+) -> Trained:
+    """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
+
+    Args:
+        faces: the labelled faces, all of one scheme.
+        scheme: what their landmarks mean.
+        method: one of ``METHODS``; ``"sdm"`` is the Supervised Descent Method.
+        options: how to train; None for the defaults.
+        progress: called with a stage's name, what is done and what there is to do.
+
+    Raises:
+        InputError: an unknown method, an option out of range, or fewer than two usable faces.
+    """
+    options = options or Options()
+    if method not in METHODS:
+        raise InputError(f"expected a method among {', '.join(METHODS)}; got {method!r}")
+    complete = [face for face in faces if face.complete]
+    problems = []
+    if left_out := len(faces) - len(complete):
+        problems.append(f"{left_out} of {len(faces)} faces left out: not all {scheme.count} landmarks are annotated")
+    if len(complete) < 2:
+        raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
+    landmarks = np.stack([face.landmarks for face in complete])
+    squares = np.stack([bounding_square(points) for points in landmarks])
+    mean = mean_face((landmarks - (squares[:, None, :2])) / squares[:, None, 2:], options.frame.face)
+    rng = np.random.default_rng(options.seed)
+    jittered = np.stack([jitter(square, rng) for square in squares])
+    placement = measure_placement(jittered, landmarks, mean, options.frame.face)
+
+    crops = Crops.empty(len(complete), options.frame)
+    detected = _Detected(every=max(1, len(complete) // _DETECTED_FACES))
+    usable = []
+    for number, face in enumerate(complete):
+        progress("reading pictures", number, len(complete))
+        try:
+            grey = to_grey(read_image(face.image, exif=False))
+        except ImageError as error:
+            problems.append(str(error))
+            continue
+        usable.append(number)
+        cut(grey, *placement.face_in(squares[number]), crops, number)
+        detected.look(number, grey, squares[number])
+    progress("reading pictures", len(complete), len(complete))
+    if len(usable) < 2:
+        raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
+
+    rows = np.array(usable)
+    space = METHODS[method](jnp.asarray(mean, jnp.float32))
+    cascade = train_cascade(
+        space,
+        options.descriptor,
+        options.frame,
+        _training_set(crops, landmarks, rows, scheme if options.mirror else None),
+        _scaled(placement.spread, options.spread),
+        windows=options.windows,
+        augmentations=options.augmentations,
+        variance=options.variance,
+        ridge=options.ridge,
+        seed=options.seed,
+        progress=progress,
+    )
+    placements = {SQUARE: placement, **detected.placements(landmarks, mean, options.frame.face)}
+    return Trained(
+        Model(cascade, scheme, placements, _summary(method, options, len(usable))),
+        len(usable),
+        tuple(problems),
+    )
+
+
+class _Detected:
+    """Boxes that detectors draw around some of the training faces."""
+
+    def __init__(self, every: int) -> None:
+        self._every = every
+        self._found: dict[str, list[tuple[int, np.ndarray]]] = {}
+
+    def look(self, number: int, grey: np.ndarray, square: np.ndarray) -> None:
+        """Detect face ``number`` if it is its turn, and keep the box that fits its bounding square."""
+        if number % self._every == 0 and (match := best_match(detect_faces(grey), square)):
+            self._found.setdefault(match.kind, []).append((number, match.box))
+
+    def placements(self, landmarks: np.ndarray, mean: np.ndarray, face: float) -> dict[str, Placement]:
+        """How faces lie in the boxes of each detector that found enough of them."""
+        return {
+            kind: measure_placement(np.stack([box for _, box in found]), landmarks[[n for n, _ in found]], mean, face)
+            for kind, found in sorted(self._found.items())
+            if len(found) >= _FEWEST_DETECTED
+        }
+
+
+def _training_set(crops: Crops, landmarks: np.ndarray, rows: np.ndarray, mirror: Scheme | None) -> TrainingSet:
+    """The faces in crop pixels; with ``mirror``, each a second time, flipped."""
+    points = crops.from_images(landmarks[rows], rows)
+    flips = np.zeros(len(rows), bool)
+    if mirror is not None:
+        flipped = mirrored(points, crops.pixels.shape[2], mirror)
+        points, rows = np.concatenate([points, flipped]), np.concatenate([rows, rows])
+        flips = np.concatenate([flips, ~flips])
+    return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows)
+
+
+def _scaled(spread: Spread, factor: float) -> Spread:
+    return Spread(
+        (spread.shift[0] * factor, spread.shift[1] * factor),
+        spread.log_scale * factor,
+        spread.rotation * factor,
+    )
+
+
+def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
+    """What a model file says about its making; plain JSON values."""
+    made = {key: value for key, value in asdict(options).items() if key not in ("descriptor", "frame")}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **made, "windows": list(options.windows)}

@@ -1,0 +1,65 @@
+"""Files appear whole or not at all."""
+
+import os
+import stat
+
+import pytest
+
+from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.exceptions import InputError
+
+
+@pytest.mark.parametrize(("mode", "content"), [("wb", b"\x00\r\n\xff"), ("w", "größe\nx\r\n")])
+def test_content_arrives_unchanged(tmp_path, mode, content):
+    path = tmp_path / "file"
+    with atomic_write(path, mode) as file:
+        file.write(content)
+    assert path.read_bytes() == (content if mode == "wb" else content.encode())
+
+
+def write_half(path, error):
+    with atomic_write(path, "w") as file:
+        file.write("half of it")
+        file.flush()
+        raise error
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("before", [None, "old"])
+def test_an_error_leaves_what_was_there(tmp_path, error, before):
+    path = tmp_path / "file"
+    if before:
+        path.write_text(before)
+    with pytest.raises(error):
+        write_half(path, error)
+    assert [entry.name for entry in tmp_path.iterdir()] == (["file"] if before else [])
+    assert not before or path.read_text() == before
+
+
+def test_nothing_shows_under_the_name_before_the_end(tmp_path):
+    path = tmp_path / "file"
+    with atomic_write(path, "w") as file:
+        file.write("x")
+        file.flush()
+        assert not path.exists()
+    assert path.exists()
+
+
+def test_files_get_the_permissions_that_plain_files_get(tmp_path):
+    (tmp_path / "plain").write_text("")
+    with atomic_write(tmp_path / "ours", "w"):
+        pass
+    plain, ours = (stat.S_IMODE(os.stat(tmp_path / name).st_mode) for name in ("plain", "ours"))
+    assert ours == plain
+
+
+def test_only_files_in_existing_folders_are_written(tmp_path):
+    with pytest.raises(InputError, match="does not exist"), atomic_write(tmp_path / "no" / "file"):
+        pass
+    with pytest.raises(InputError, match="not a regular file"), atomic_write(tmp_path):
+        pass
+
+
+def test_csv_quotes_what_needs_it(tmp_path):
+    write_csv(tmp_path / "t.csv", ["a", "b"], [["x,y", 1.5], ['"', None]])
+    assert (tmp_path / "t.csv").read_bytes() == b'a,b\n"x,y",1.5\n"""",\n'
