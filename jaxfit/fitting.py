@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.data.boxes import box_problem
@@ -40,7 +41,7 @@ class Fits:
 
 
 def crop_faces(
-    model: Model, images: Sequence[np.ndarray], boxes: np.ndarray, kind: str | Sequence[str] = SQUARE
+    model: Model, images: Sequence[np.ndarray], boxes: ArrayLike, kind: str | Sequence[str] = SQUARE
 ) -> tuple[Crops, dict[int, str]]:
     """Cut the crops that the model's cascade works on.
 
@@ -57,12 +58,7 @@ def crop_faces(
     Raises:
         InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
     """
-    boxes = np.asarray(boxes, np.float64)
-    if boxes.shape != (len(images), 4):
-        raise InputError(
-            f"expected one box (x, y, width, height) for each of {len(images)} images, an array "
-            f"({len(images)}, 4); got an array {boxes.shape}"
-        )
+    boxes = _box_array(boxes, len(images))
     kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
     if len(kinds) != len(images):
         raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
@@ -82,10 +78,26 @@ def crop_faces(
     return crops, problems
 
 
+def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:
+    try:
+        array = np.asarray(boxes, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"expected boxes as an array ({count}, 4) of numbers; got {boxes!r}") from None
+    # No faces, no boxes: an empty list is as good as an empty (0, 4) array.
+    if count == 0 and array.size == 0:
+        return array.reshape(0, 4)
+    if array.shape != (count, 4):
+        raise InputError(
+            f"expected one box (x, y, width, height) for each of {count} images, an array ({count}, 4); "
+            f"got an array {array.shape}"
+        )
+    return array
+
+
 def fit(
     model: Model,
     images: Sequence[np.ndarray],
-    boxes: np.ndarray,
+    boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,

@@ -87,7 +87,8 @@ def principal_axes(features: Float[Array, "samples features"], variance: float) 
     variances, vectors = jnp.linalg.eigh(gram)
     variances, vectors = variances[::-1], vectors[:, ::-1]
     reliable = int(jnp.sum(variances > max(centred.shape) * jnp.finfo(gram.dtype).eps * variances[0]))
-    if not reliable:
+    # The mean of equal numbers may be rounded, which leaves a little variance.
+    if not reliable or bool((features == features[0]).all()):
         raise InputError("the features of all samples are equal: nothing can be learned from these pictures")
     held = jnp.cumsum(jnp.maximum(variances, 0))
     kept = min(reliable, int(jnp.searchsorted(held, variance * held[-1])) + 1)

@@ -175,7 +175,9 @@ def train_cascade(
     Raises:
         InputError: an option out of range, or no faces.
     """
-    if not windows or min(windows) <= 0 or augmentations < 1 or ridge < 0 or len(faces.source) == 0:
+    # Worded so that NaN is refused, too.
+    possible = windows and all(window > 0 for window in windows) and augmentations >= 1 and ridge >= 0
+    if not possible or len(faces.source) == 0:
         raise InputError(
             "expected at least one step, windows > 0, augmentations >= 1, ridge >= 0 and at least one face; got "
             f"windows {windows}, augmentations {augmentations}, ridge {ridge}, {len(faces.source)} faces"

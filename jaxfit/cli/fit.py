@@ -11,7 +11,7 @@ from jaxfit.cli.arguments import add_boxes, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.detection import detect_faces
-from jaxfit.data.images import find_images, read_image, to_grey, write_image
+from jaxfit.data.images import find_images, read_image, write_image
 from jaxfit.data.outputs import write_csv
 from jaxfit.data.overlays import draw_landmarks
 from jaxfit.data.pts import write_pts
@@ -105,7 +105,7 @@ def _faces(picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] |
     """The faces of a picture: those given, or those that the detectors find."""
     rgb = read_image(picture)
     if boxes is None:
-        found = [(face.box, str(face.kind)) for face in detect_faces(to_grey(rgb))]
+        found = [(face.box, str(face.kind)) for face in detect_faces(rgb)]
         nothing = "no face found; give face boxes with --boxes"
     else:
         found = [(box, kind) for box in boxes.get(picture.name, [])]

@@ -56,13 +56,17 @@ class Crops:
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def to_images(self, points: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Points (M, L, 2) of the crops numbered ``rows`` (M,), from pixels of the crops to pixels of the pictures."""
-        return to_image(points, self.scale[rows, None, None], self.offset[rows, None])
+    def to_images(self, points: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+        """Points (M, L, 2) of the crops numbered ``rows`` (M,), all if None, from their pixels to the pictures'."""
+        return to_image(points, *self._lenses(rows))
 
-    def from_images(self, points: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Points (M, L, 2), from pixels of the pictures to pixels of the crops numbered ``rows`` (M,)."""
-        return to_crop(points, self.scale[rows, None, None], self.offset[rows, None])
+    def from_images(self, points: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
+        """Points (M, L, 2), from pixels of the pictures to those of the crops numbered ``rows`` (M,), all if None."""
+        return to_crop(points, *self._lenses(rows))
+
+    def _lenses(self, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        chosen = slice(None) if rows is None else rows
+        return self.scale[chosen][:, None, None], self.offset[chosen][:, None]
 
 
 def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, row: int) -> None:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from jaxfit.data.boxes import box_centre
+from jaxfit.data.images import to_grey
 
 # Chosen on faces of LFPW, HELEN, YouTube Faces and AFLW. In larger pictures no more faces are found, only more that are
 # none; equalising the histogram and the other frontal cascades find fewer, or more that are none.
@@ -37,13 +38,13 @@ class Detection:
     kind: Literal["haar-frontal", "haar-profile"]
 
 
-def detect_faces(grey: np.ndarray) -> list[Detection]:
-    """The faces in a grey picture, uint8 (H, W), largest first; empty if none is found.
+def detect_faces(image: np.ndarray) -> list[Detection]:
+    """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first; empty if none is found.
 
     Where no face is surely frontal, profiles are looked for as well and the largest of the less sure finds, if any, is
     the only one returned. Faces narrower than a twelfth of the picture's shorter side are not looked for.
     """
-    small, back = _shrunk(grey)
+    small, back = _shrunk(to_grey(image))
     margin = round(_MARGIN * min(small.shape))
     padded = cv2.copyMakeBorder(small, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
     smallest = max(_SMALLEST, round(_SMALLEST_SHARE * min(small.shape)))

@@ -1,10 +1,11 @@
 """The seam for descriptors: what the cascade asks of one."""
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from jaxfit.types import Crop, Features, Point, Scalar
 
 
+@runtime_checkable
 class Descriptor(Protocol):
     """Describes a landmark's neighbourhood; immutable and hashable, so that it can be part of a compiled function."""
 

@@ -9,6 +9,7 @@ from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxfit.exceptions import InputError
 from jaxfit.image.sampling import bilinear, bilinear_grid
 from jaxfit.image.smoothing import smooth
 from jaxfit.types import Crop, Features, Picture, Point, Scalar
@@ -39,6 +40,13 @@ class Sift:
 
     orientation: Literal["upright", "principal"] = "upright"
     normalisation: Literal["cell", "vector"] = "cell"
+
+    def __post_init__(self) -> None:
+        if self.orientation not in ("upright", "principal") or self.normalisation not in ("cell", "vector"):
+            raise InputError(
+                "expected orientation 'upright' or 'principal' and normalisation 'cell' or 'vector'; got "
+                f"{self.orientation!r} and {self.normalisation!r}"
+            )
 
     @property
     def size(self) -> int:

@@ -15,7 +15,10 @@ def smoothing_matrix(size: int, sigma: float) -> np.ndarray:
     radius = int(_TRUNCATE * sigma + 0.5)
     offsets = np.arange(-radius, radius + 1)
     kernel = np.exp(-0.5 * (offsets / sigma) ** 2)
-    kernel /= kernel.sum()
+    # Weights that are multiples of 2^-16 and sum to 1 are exact in float32 on whole numbers up to 255: what is flat
+    # stays exactly flat. Descriptors do not know contrast and would otherwise describe the rounding there.
+    kernel = np.round(kernel / kernel.sum() * 2**16) / 2**16
+    kernel[radius] += 1 - kernel.sum()
     matrix = np.zeros((size, size), np.float32)
     rows = np.arange(size)
     for offset, weight in zip(offsets, kernel, strict=True):

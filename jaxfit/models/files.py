@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from safetensors import SafetensorError
@@ -22,6 +23,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.schemes import scheme_named
+from jaxfit.shapes.space import Start
 
 FORMAT = 1
 SUFFIX = ".safetensors"
@@ -30,6 +32,17 @@ SUFFIX = ".safetensors"
 _SPACES: dict[str, type] = {"points": PointSpace}
 _DESCRIPTORS: dict[str, type] = {"sift": Sift}
 _KEY = "jaxfit"
+# What parsing may raise whatever the bytes.
+_DAMAGE = (
+    SafetensorError,
+    JaxfitError,
+    LookupError,
+    ArithmeticError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    RecursionError,
+)
 
 
 def save(model: Model, path: str | Path) -> None:
@@ -97,7 +110,7 @@ def load(name: str | Path) -> Model:
         return _parse(data)
     except ModelError as error:
         raise ModelError(f"{name}: {error}") from None
-    except (SafetensorError, JaxfitError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except _DAMAGE as error:
         raise ModelError(f"{name}: not a jaxfit model, or damaged ({error}); copy or train it again") from None
 
 
@@ -138,8 +151,13 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
     for name, shape in expected.items():
         if tensors[name].shape != shape:
             raise ModelError(f"damaged: {name} has shape {tensors[name].shape}, expected {shape}")
-        if not np.isfinite(tensors[name]).all():
-            raise ModelError(f"damaged: {name} has values that are not finite numbers")
+    for name, tensor in tensors.items():
+        if tensor.dtype not in (np.float16, np.float32) or not np.isfinite(tensor).all():
+            raise ModelError(f"damaged: {name} has values that are not finite 16- or 32-bit numbers")
+    start = Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))
+    placed = jax.eval_shape(lambda: space.landmarks(space.place(start)))
+    if placed.shape != (count, 2):
+        raise ModelError(f"damaged: its faces are of shape {placed.shape}, expected {(count, 2)}")
     return Cascade(
         space=space,
         weights=jnp.asarray(tensors["weights"], jnp.float32),

@@ -145,7 +145,7 @@ def scheme_named(name: str) -> Scheme:
     if name in SCHEMES:
         return SCHEMES[name]
     count = name.removeprefix("points")
-    if name != count and count.isdigit() and int(count) > 0:
+    if name != count and len(count) < 10 and count.isdecimal() and int(count) > 0:
         return Scheme(name=name, count=int(count))
     raise InputError(f"unknown landmark scheme {name!r}; known: {', '.join(SCHEMES)}, points<N>")
 

@@ -1,6 +1,6 @@
 """The seam for shape spaces: a coordinate system for faces."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from jaxtyping import Array, Float
 
@@ -21,6 +21,7 @@ class Start(NamedTuple):
     rotation: Scalar
 
 
+@runtime_checkable
 class ShapeSpace(Protocol):
     """Turns a parameter vector into landmarks and a step into new parameters; every array is one face, a pytree."""
 

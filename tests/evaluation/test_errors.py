@@ -84,9 +84,7 @@ def test_a_fit_may_lack_what_is_not_annotated() -> None:
     np.testing.assert_array_equal(nmed(truth, truth, FIVE), [0.0])
 
 
-@pytest.mark.parametrize(
-    "missing", [(0, slice(None)), (0, 4), (0, 4, 1)], ids=["face", "point", "coordinate"]
-)
+@pytest.mark.parametrize("missing", [(0, slice(None)), (0, 4), (0, 4, 1)], ids=["face", "point", "coordinate"])
 def test_an_incomplete_fit_is_a_failure(missing: tuple) -> None:
     truth = np.repeat(five_points(), 2, axis=0)
     fitted = truth.copy()
@@ -103,12 +101,8 @@ def test_a_fit_that_ran_away_is_no_warning() -> None:
     assert 1e298 < errors[1] < np.inf
 
 
-@pytest.mark.parametrize(
-    ("normaliser", "unknown"), [("outer", 1), ("pupil", 3), ("box", slice(None))], ids=NORMALISERS
-)
-def test_without_its_normaliser_a_face_is_unmeasurable_whatever_the_fit(
-    normaliser: str, unknown: int | slice
-) -> None:
+@pytest.mark.parametrize(("normaliser", "unknown"), [("outer", 1), ("pupil", 3), ("box", slice(None))], ids=NORMALISERS)
+def test_without_its_normaliser_a_face_is_unmeasurable_whatever_the_fit(normaliser: str, unknown: int | slice) -> None:
     truth = np.repeat(five_points(), 2, axis=0)
     fitted = truth.copy()
     fitted[1] = np.nan

@@ -44,9 +44,7 @@ def test_failed_and_unmeasured_faces() -> None:
 
 
 def test_json() -> None:
-    written = json.loads(
-        json.dumps(summarise(np.array([0.02, 0.04, np.inf, np.nan])).as_json(), allow_nan=False)
-    )
+    written = json.loads(json.dumps(summarise(np.array([0.02, 0.04, np.inf, np.nan])).as_json(), allow_nan=False))
     assert written == {
         "faces": 4,
         "fitted": 2,

@@ -1,0 +1,151 @@
+"""Try every kind of bad input and print what a user sees, as a table."""
+
+import contextlib
+import io
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+import jaxfit
+from jaxfit.cli.main import main as command
+from jaxfit.data.images import write_image
+from jaxfit.data.pts import write_pts
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        print("| input | what the user sees |\n|---|---|")
+        for what, attempt in cases(folder).items():
+            said = attempt().strip().replace(name, "…").replace("|", "\\|").replace("\n", "<br>")
+            print(f"| {what} | {said} |")
+            sys.stdout.flush()
+
+
+def cases(folder: Path) -> dict[str, Callable[[], str]]:
+    """Each bad input with a function that tries it and returns what was said."""
+    model = jaxfit.load("sdm68")
+    portrait = _portrait(folder)
+    picture = jaxfit.read_image(portrait)
+    box = jaxfit.detect_faces(picture)[0].box
+    points = jaxfit.fit(model, [picture], [box], kind="haar-frontal").landmarks[0]
+
+    def made(name: str, content: bytes) -> Path:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+        return path
+
+    def fits(path: Path) -> Callable[[], str]:
+        return lambda: _said("fit", str(path), "--out", str(folder / "out"))
+
+    def in_python(images: list[np.ndarray], boxes: object) -> Callable[[], str]:
+        def attempt() -> str:
+            try:
+                fitted = jaxfit.fit(model, images, boxes, kind="haar-frontal")
+            except jaxfit.JaxfitError as error:
+                return f"{type(error).__name__}: {error}"
+            return f"problems: {fitted.problems}" if fitted.problems else "fitted like any other"
+
+        return attempt
+
+    jpeg = portrait.read_bytes()
+    grey = picture.mean(2).astype(np.uint8)
+    alpha = np.concatenate([picture, np.full((*grey.shape, 1), 200, np.uint8)], 2)
+    deep = picture.astype(np.uint16) * 257
+    _, deep_png = cv2.imencode(".png", deep)
+    _, alpha_png = cv2.imencode(".png", alpha)
+
+    labels = folder / "labels"
+    labels.mkdir()
+    for number in range(3):
+        write_image(labels / f"face{number:03}.png", picture)
+        write_pts(labels / f"face{number:03}.pts", points)
+    few = shutil.copytree(labels, folder / "few")
+    write_pts(few / "face001.pts", points[:60])
+    alone = shutil.copytree(labels, folder / "alone")
+    (alone / "face001.png").unlink()
+    empty = folder / "empty"
+    empty.mkdir()
+    boxes = made("boxes.csv", b"image,x,y,width\na.png,1,2,3\n")
+    words = made("words.csv", b"image,x,y,width,height\na.png,1,2,3,wide\n")
+
+    bundled = Path(jaxfit.__file__).parent / "models" / "bundled" / "sdm68.safetensors"
+    cut = made("cut.safetensors", bundled.read_bytes()[:5000])
+    other = folder / "other.safetensors"
+    save_file(load_file(bundled), other)
+    newer = made("newer.safetensors", bundled.read_bytes().replace(b'\\"format\\": 1,', b'\\"format\\": 9,'))
+
+    def evaluates(model: object, data: object, *more: str) -> Callable[[], str]:
+        return lambda: _said("evaluate", str(model), "--data", str(data), "--out", str(folder / "out"), *more)
+
+    return {
+        "picture: not a picture": fits(made("text.jpg", b"hello")),
+        "picture: empty file": fits(made("nothing.png", b"")),
+        "picture: truncated JPEG": fits(made("cut.jpg", jpeg[: len(jpeg) // 2])),
+        "picture: HEIC": fits(made("phone.heic", b"\0\0\0\x18ftypheic" + bytes(64))),
+        "picture: missing": fits(folder / "nowhere.jpg"),
+        "picture: no face in it": fits(made("flat.png", cv2.imencode(".png", np.zeros((200, 200), np.uint8))[1])),
+        "picture file: 16 bits": fits(made("deep.png", deep_png.tobytes())),
+        "picture file: alpha": fits(made("alpha.png", alpha_png.tobytes())),
+        "folder without pictures": fits(empty),
+        "array: grey": in_python([grey], [box]),
+        "array: RGBA": in_python([alpha], [box]),
+        "array: 16 bits": in_python([deep], [box]),
+        "array: float": in_python([picture / 255.0], [box]),
+        "array: no pixels": in_python([picture[:0]], [box]),
+        "box: NaN": in_python([picture], [[np.nan, 0, 10, 10]]),
+        "box: no area": in_python([picture], [[10, 10, 0, 10]]),
+        "box: outside the picture": in_python([picture], [[9000, 10, 50, 50]]),
+        "boxes: wrong shape": in_python([picture], [10, 10, 50, 50]),
+        "boxes: a column is missing": evaluates("sdm68", f"pts:{labels}", "--boxes", str(boxes)),
+        "boxes: not a number": evaluates("sdm68", f"pts:{labels}", "--boxes", str(words)),
+        "boxes: of an unknown kind": evaluates("sdm68", f"pts:{labels}", "--box-kind", "mine"),
+        "labels: wrong number of points in one file": evaluates("sdm68", f"pts:{few}"),
+        "labels: a picture is missing": evaluates("sdm68", f"pts:{alone}"),
+        "labels: another scheme than the model's": _other_scheme(folder, picture, points),
+        "labels: empty folder": evaluates("sdm68", f"pts:{empty}"),
+        "labels: no such folder": evaluates("sdm68", f"pts:{folder / 'nowhere'}"),
+        "labels: no format named": evaluates("sdm68", labels),
+        "labels: AFLW without its database": evaluates("sdm68", f"aflw:{empty}"),
+        "model: no such file": evaluates("nothing", f"pts:{labels}"),
+        "model: truncated": evaluates(cut, f"pts:{labels}"),
+        "model: a safetensors file of something else": evaluates(other, f"pts:{labels}"),
+        "model: of another format version": evaluates(newer, f"pts:{labels}"),
+    }
+
+
+def _other_scheme(folder: Path, picture: np.ndarray, points: np.ndarray) -> Callable[[], str]:
+    labels = folder / "other-scheme"
+    labels.mkdir()
+    write_image(labels / "face.png", picture)
+    write_pts(labels / "face.pts", points[:21])
+    return lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(folder / "out"))
+
+
+def _portrait(folder: Path) -> Path:
+    import matplotlib.cbook
+
+    path = folder / "portrait.jpg"
+    shutil.copy(matplotlib.cbook.get_sample_data("grace_hopper.jpg", asfileobj=False), path)
+    return path
+
+
+def _said(*arguments: str) -> str:
+    """What the command prints, without progress and the tables of what went well, and its exit code."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = command(arguments)
+    complaints = [line for line in err.getvalue().splitlines() if not line.endswith("…")]
+    first = out.getvalue().splitlines()[:1] if arguments[0] == "fit" else []
+    return "\n".join([*complaints, *first, f"exit code {code}"])
+
+
+if __name__ == "__main__":
+    main()

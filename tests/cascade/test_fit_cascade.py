@@ -1,0 +1,130 @@
+"""Fitting: against a plain loop, one face against batches, several starts against brute force, and derivatives."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from blobs import FRAME, MEAN, SPACE, Patch, blob_faces
+from jax import numpy as jnp
+
+from jaxfit.cascade.fit import centroid, fit_crops, fit_face, starts_of
+from jaxfit.cascade.model import Cascade
+from jaxfit.descriptors.sift import Sift
+from jaxfit.shapes.space import Start
+
+CROPS, _ = blob_faces(4, seed=0)
+ROTATIONS = np.float32([-0.8, -0.3, 0.0, 0.3, 0.8])
+
+
+def random_cascade(descriptor=None, strength=0.3, steps=3):
+    descriptor = descriptor or Patch()
+    rng = np.random.default_rng(0)
+    return Cascade(
+        space=SPACE,
+        weights=jnp.asarray(strength * rng.normal(size=(steps, 4 * descriptor.size, SPACE.size)), jnp.float32),
+        biases=jnp.asarray(strength * rng.normal(size=(steps, SPACE.size)), jnp.float32),
+        windows=jnp.asarray(np.linspace(16, 8, steps), jnp.float32),
+        descriptor=descriptor,
+        frame=FRAME,
+    )
+
+
+CASCADE = random_cascade()
+START = SPACE.place(Start(jnp.array([22.0, 25.0]), jnp.float32(1.1), jnp.float32(0.2)))
+
+
+def far_apart(points):
+    """Eq. 12 by brute force: each candidate's sum of distances to all others."""
+    return [sum(np.linalg.norm(a - b, axis=1).sum() for b in points) for a in points]
+
+
+def test_is_a_loop_over_steps_and_landmarks():
+    prepared, params = CASCADE.descriptor.prepare(jnp.asarray(CROPS[0])), np.asarray(START)
+    for weights, bias, window in zip(CASCADE.weights, CASCADE.biases, CASCADE.windows, strict=True):
+        points = params.reshape(4, 2)
+        size = np.sqrt(((points - points.mean(0)) ** 2).sum() / (MEAN**2).sum())
+        seen = [CASCADE.descriptor.describe(prepared, jnp.asarray(point), window * size) for point in points]
+        params = params + size * (np.concatenate(seen) @ np.asarray(weights) + np.asarray(bias))
+    assert np.abs(params - START).max() > 5
+    np.testing.assert_allclose(jax.jit(fit_face)(CASCADE, CROPS[0], START), params, atol=1e-2)
+
+
+def test_compiled_is_eager():
+    eager = fit_face(CASCADE, jnp.asarray(CROPS[1]), START)
+    np.testing.assert_allclose(jax.jit(fit_face)(CASCADE, CROPS[1], START), eager, atol=1e-2)
+
+
+def test_a_batch_is_a_loop():
+    batch = fit_crops(CASCADE, CROPS)
+    assert batch.shape == (4, 4, 2)
+    for crop, landmarks in zip(CROPS, batch, strict=True):
+        np.testing.assert_allclose(fit_crops(CASCADE, crop[None])[0], landmarks, atol=1e-2)
+
+
+def test_an_empty_batch():
+    assert fit_crops(CASCADE, CROPS[:0]).shape == (0, 4, 2)
+
+
+def test_starts_upright_in_the_middle_unless_told_otherwise():
+    middle = SPACE.place(Start(jnp.full(2, 23.5), jnp.float32(1), jnp.float32(0)))
+    expected = SPACE.landmarks(jax.jit(fit_face)(CASCADE, CROPS[0], middle))
+    np.testing.assert_allclose(fit_crops(CASCADE, CROPS[:1])[0], expected, atol=1e-2)
+
+
+def test_without_weights_the_start_comes_back():
+    still = jax.tree.map(jnp.zeros_like, (CASCADE.weights, CASCADE.biases))
+    cascade = replace(CASCADE, weights=still[0], biases=still[1])
+    np.testing.assert_array_equal(jax.jit(fit_face)(cascade, CROPS[0], START), START)
+    np.testing.assert_allclose(fit_crops(cascade, CROPS), np.broadcast_to(MEAN + FRAME.middle, (4, 4, 2)), atol=1e-5)
+
+
+def test_of_several_starts_the_centroid_of_the_fits_is_kept():
+    # fits[k, n] is the fit of crop n from the k-th rotation alone.
+    fits = np.stack([fit_crops(CASCADE, CROPS, jnp.asarray([rotation])) for rotation in ROTATIONS])
+    expected = [candidates[np.argmin(far_apart(candidates))] for candidates in fits.swapaxes(0, 1)]
+    np.testing.assert_allclose(fit_crops(CASCADE, CROPS, jnp.asarray(ROTATIONS)), expected, atol=1e-2)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 11])
+def test_the_centroid_is_that_of_brute_force(count):
+    for seed in range(5):
+        candidates = np.random.default_rng(seed).normal(size=(count, 4, 2)).astype(np.float32)
+        found = int(centroid(jnp.asarray(candidates)))
+        if count == 2:
+            assert found == 0  # a tie
+        else:
+            assert found == np.argmin(far_apart(candidates))
+
+
+def test_one_stray_fit_is_never_kept():
+    candidates = np.zeros((3, 4, 2), np.float32)
+    candidates[0] = 1e4
+    assert int(centroid(jnp.asarray(candidates))) == 1
+
+
+def test_starts_lie_in_the_middle_at_the_canonical_size():
+    starts = starts_of(FRAME, jnp.asarray(ROTATIONS))
+    for start, rotation in zip(zip(*starts, strict=True), ROTATIONS, strict=True):
+        np.testing.assert_array_equal(start[0], [23.5, 23.5])
+        assert (start[1], start[2]) == (1, rotation)
+
+
+@pytest.mark.parametrize("orientation", ["upright", "principal"])
+def test_derivatives_of_the_whole_cascade_are_finite(orientation):
+    cascade = random_cascade(Sift(orientation), strength=0.02, steps=2)
+
+    def loss(weights, params, crop):
+        return (fit_face(replace(cascade, weights=weights), crop, params) ** 2).mean()
+
+    derivatives = jax.jit(jax.grad(loss, (0, 1)))
+    noise = np.random.default_rng(0).integers(0, 256, (48, 48)).astype(np.uint8)
+    half_flat = np.where(np.arange(48) < 24, 200, noise).astype(np.uint8)
+    together = jnp.full_like(START, 20.0)
+    cases = [(CROPS[0], START), (noise, START), (half_flat, START), (noise, together), (noise, START + 1e4)]
+    cases += [(np.full((48, 48), value, np.uint8), START) for value in (0, 200)]
+    for crop, params in cases:
+        assert all(np.isfinite(found).all() for found in derivatives(cascade.weights, params, crop))
+    by_weights, by_params = derivatives(cascade.weights, START, noise)
+    assert np.any(by_weights != 0, (1, 2)).all()  # every step's
+    assert np.any(by_params != 0)

@@ -1,0 +1,101 @@
+"""Every command and every line of Python in the README, run as it stands there."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxfit
+from jaxfit.cli.main import main
+from jaxfit.data.images import write_image
+from jaxfit.data.pts import write_pts
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+# What needs an installer or would run these very tests again; the Makefile's targets are looked up instead.
+NOT_RUN = {"pip install .", "make test"}
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+COMMANDS = [line for block in blocks("bash") for line in block.strip().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def portrait() -> np.ndarray:
+    cbook = pytest.importorskip("matplotlib.cbook")
+    return jaxfit.read_image(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False))
+
+
+@pytest.fixture(scope="module")
+def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the README takes for granted: photos, their boxes, and faces labelled for training and testing."""
+    folder = tmp_path_factory.mktemp("readme")
+    model = jaxfit.load("sdm68")
+    (face,) = jaxfit.detect_faces(portrait)
+    points = jaxfit.fit(model, [portrait], face.box[None], kind=face.kind).landmarks[0]
+    (folder / "photos").mkdir()
+    write_image(folder / "photos" / "portrait.jpg", portrait)
+    row = ",".join(f"{value:.1f}" for value in face.box)
+    (folder / "boxes.csv").write_text(f"image,x,y,width,height\nportrait.jpg,{row}\n")
+    for part in ("train", "test"):
+        (folder / "faces" / part).mkdir(parents=True)
+        for number in range(4):
+            left, top = 12 * number, 7 * number
+            name = folder / "faces" / part / f"face{number:03}"
+            write_image(name.with_suffix(".png"), portrait[top:, left:])
+            write_pts(name.with_suffix(".pts"), points - [left, top])
+    return folder
+
+
+def run(command: str) -> None:
+    if command == "make demo":
+        portrait = "photos/portrait.jpg"
+        command = f"jaxfit fit {portrait} --out demo"
+    program, *arguments = shlex.split(command)
+    assert program == "jaxfit", f"the README has a command that no test runs: {command}"
+    assert main(arguments) == 0, command
+
+
+def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    for command in COMMANDS:
+        if command not in NOT_RUN:
+            run(command)
+    for written in (
+        "demo/overlays/portrait.jpg",
+        "demo/landmarks.csv",
+        "demo/pts/portrait_1.pts",
+        "fitted/landmarks.csv",
+        "results/report.json",
+        "results/faces.csv",
+    ):
+        assert (folder / written).stat().st_size > 0
+
+
+def test_make_targets_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for command in COMMANDS:
+        if command.startswith("make "):
+            assert f"\n{command.removeprefix('make ')}:" in makefile
+    assert "make test" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    names: dict[str, object] = {}
+    for block in blocks("python"):
+        exec(compile(block, "README.md", "exec"), names)
+    assert names["fits"].landmarks.shape == (1, 68, 2)
+    assert np.isfinite(names["fits"].landmarks).all()
+    np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
+    assert np.isfinite(names["slope"]).all()
+
+
+def test_links() -> None:
+    for target in re.findall(r"\]\(([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
