@@ -23,9 +23,8 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
 
-THESIS_WINDOW = 32 / Frame().face  # 32 pixels, on a face of the canonical size
 # Faces in which detectors are run to learn how their boxes lie; enough for means and spreads.
-_DETECTED_FACES = 400
+_DETECTED_FACES = 300
 _FEWEST_DETECTED = 20
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 
@@ -36,7 +35,7 @@ class Options:
 
     Attributes:
         windows: side of the descriptor window at each step, as a share of the face's side; one number a step. The
-            thesis's constant is ``(THESIS_WINDOW,) * steps``.
+            thesis's constant, 32 pixels, is ``(32 / frame.face,) * steps``.
         augmentations: starts drawn for each face; a mirrored face counts as a face of its own.
         variance: share of the features' variance that the PCA keeps, in (0, 1].
         ridge: strength of the ridge penalty, relative to the mean variance of a feature; 0 is plain least squares.
@@ -48,9 +47,9 @@ class Options:
     """
 
     windows: tuple[float, ...] = (0.45, 0.34, 0.26, 0.2, 0.15)
-    augmentations: int = 10
-    variance: float = 0.97
-    ridge: float = 0.5
+    augmentations: int = 5
+    variance: float = 0.95
+    ridge: float = 1.0
     spread: float = 1.0
     mirror: bool = True
     seed: int = 0

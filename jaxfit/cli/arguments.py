@@ -50,7 +50,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
         default=list(_DEFAULT.windows),
         metavar="SHARE",
         help="side of the descriptor window as a share of the face's side, one number a step; "
-        "the thesis's constant is 0.356 for every step",
+        "the thesis's constant is 32 / FACE for every step",
     )
     command.add_argument("--augmentations", type=int, default=_DEFAULT.augmentations, help="starts drawn a face")
     command.add_argument("--variance", type=float, default=_DEFAULT.variance, help="share kept by the features' PCA")

@@ -39,7 +39,7 @@ class Sift:
     """
 
     orientation: Literal["upright", "principal"] = "upright"
-    normalisation: Literal["cell", "vector"] = "cell"
+    normalisation: Literal["cell", "vector"] = "vector"
 
     def __post_init__(self) -> None:
         if self.orientation not in ("upright", "principal") or self.normalisation not in ("cell", "vector"):

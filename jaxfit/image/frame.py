@@ -14,8 +14,8 @@ class Frame:
         face: side of the canonical face (the bounding square of the mean face's landmarks), in pixels.
     """
 
-    crop: int = 160
-    face: float = 90.0
+    crop: int = 208
+    face: float = 120.0
 
     def __post_init__(self) -> None:
         if not (8 <= self.face <= self.crop <= 4096):

@@ -22,7 +22,7 @@ SPREAD = Spread(shift=(0.08, 0.08), log_scale=0.05, rotation=0.1)
 class Patch:
     """The picture itself at a few points around the landmark: a descriptor that compiles fast."""
 
-    samples: int = 5
+    samples: int = 3
 
     @property
     def size(self):

@@ -46,7 +46,7 @@ def test_is_a_loop_over_steps_and_landmarks():
         size = np.sqrt(((points - points.mean(0)) ** 2).sum() / (MEAN**2).sum())
         seen = [CASCADE.descriptor.describe(prepared, jnp.asarray(point), window * size) for point in points]
         params = params + size * (np.concatenate(seen) @ np.asarray(weights) + np.asarray(bias))
-    assert np.abs(params - START).max() > 5
+    assert np.abs(params - START).max() > 2
     np.testing.assert_allclose(jax.jit(fit_face)(CASCADE, CROPS[0], START), params, atol=1e-2)
 
 
@@ -110,9 +110,8 @@ def test_starts_lie_in_the_middle_at_the_canonical_size():
         assert (start[1], start[2]) == (1, rotation)
 
 
-@pytest.mark.parametrize("orientation", ["upright", "principal"])
-def test_derivatives_of_the_whole_cascade_are_finite(orientation):
-    cascade = random_cascade(Sift(orientation), strength=0.02, steps=2)
+def test_derivatives_of_the_whole_cascade_are_finite():
+    cascade = random_cascade(Sift(), strength=0.02, steps=2)
 
     def loss(weights, params, crop):
         return (fit_face(replace(cascade, weights=weights), crop, params) ** 2).mean()

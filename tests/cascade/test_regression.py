@@ -65,9 +65,9 @@ def test_dependent_features_share_the_weight(ridge):
 
 
 def test_fewer_samples_than_features():
-    x, y = samples(features=40)
-    weights, bias = solve(moments(x[:10], y[:10]), jnp.float32(0))
-    np.testing.assert_allclose(x[:10] @ weights + bias, y[:10], atol=1e-2)
+    x, y = samples(features=FEATURES + 3)
+    weights, bias = solve(moments(x[:5], y[:5]), jnp.float32(0))
+    np.testing.assert_allclose(x[:5] @ weights + bias, y[:5], atol=1e-2)
 
 
 def test_features_that_never_change_predict_the_mean():
@@ -91,7 +91,7 @@ def test_weight_zero_leaves_a_sample_out():
     assert_same(moments(x, y, keep), moments(x[keep], y[keep]))
 
 
-@pytest.mark.parametrize("shape", [(60, 8), (8, 60), (20, 20)])
+@pytest.mark.parametrize("shape", [(60, 8), (8, 60)])
 @pytest.mark.parametrize("variance", [0.5, 0.9, 0.999])
 def test_principal_axes_are_those_of_the_svd(shape, variance):
     rng = np.random.default_rng(0)
@@ -115,7 +115,7 @@ def test_principal_axes_are_those_of_the_svd(shape, variance):
             np.testing.assert_allclose(mine @ mine.T, axes[:first].T @ axes[:first], atol=5e-3)
 
 
-@pytest.mark.parametrize("shape", [(50, 9), (9, 50)])
+@pytest.mark.parametrize("shape", [(60, 8), (8, 60)])
 def test_axes_of_all_variance_rebuild_the_features(shape):
     x = np.random.default_rng(0).normal(size=shape).astype(np.float32)
     found = principal_axes(jnp.asarray(x), 1.0)
@@ -123,7 +123,7 @@ def test_axes_of_all_variance_rebuild_the_features(shape):
     np.testing.assert_allclose((x - found.mean) @ found.axes @ found.axes.T + found.mean, x, atol=1e-3)
 
 
-@pytest.mark.parametrize("shape", [(100, 5), (5, 100), (1, 7)])
+@pytest.mark.parametrize("shape", [(60, 8), (8, 60), (1, 8)])
 @pytest.mark.parametrize("value", [0.0, 0.1, 0.3, 0.7])
 def test_equal_samples_teach_nothing(shape, value):
     with pytest.raises(InputError, match="features of all samples are equal"):
