@@ -1,5 +1,6 @@
 """Training a cascade (thesis, Fig. 5): perturb, describe, regress, advance, one step after the other."""
 
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -108,34 +109,31 @@ def _observe(
     targets: Array,
     valid: Array,
     window: Scalar,
-) -> Moments:
+) -> tuple[Moments, Float[Array, "faces augmentations kept"]]:
+    """The moments with a batch added, and the batch's principal components."""
     features = _describe(descriptor, space, crops, mirrored, states, window)
-    reduced = (features.reshape(-1, features.shape[-1]) - projection.mean) @ projection.axes
+    reduced = (features - projection.mean) @ projection.axes
     steps = vmap(lambda target, states: vmap(lambda state: space.difference(target, state))(states))(targets, states)
     weights = jnp.repeat(valid.astype(jnp.float32), states.shape[1])
-    return moments.add(reduced, steps.reshape(-1, steps.shape[-1]), weights)
-
-
-@partial(jax.jit, static_argnames="descriptor")
-def _advance(
-    descriptor: Descriptor,
-    space: ShapeSpace,
-    crops: Array,
-    mirrored: Array,
-    states: Array,
-    window: Scalar,
-    weights: Array,
-    bias: Array,
-) -> Float[Array, "faces augmentations params"]:
-    features = _describe(descriptor, space, crops, mirrored, states, window)
-    return vmap(vmap(space.advance))(states, features @ weights + bias)
+    moments = moments.add(reduced.reshape(-1, reduced.shape[-1]), steps.reshape(-1, steps.shape[-1]), weights)
+    return moments, reduced
 
 
 @jax.jit
-def _regressor(projection: Projection, moments: Moments, ridge: Scalar) -> tuple[Array, Array]:
+def _advance(
+    space: ShapeSpace,
+    states: Float[Array, "faces augmentations params"],
+    reduced: Float[Array, "faces augmentations kept"],
+    weights: Float[Array, "kept params"],
+    bias: Float[Array, "params"],
+) -> Float[Array, "faces augmentations params"]:
+    return vmap(vmap(space.advance))(states, reduced @ weights + bias)
+
+
+@jax.jit
+def _unfolded(projection: Projection, weights: Array, bias: Array) -> tuple[Array, Array]:
     """Weights and bias on the raw features, rounded to what model files store, so that saving changes nothing."""
-    reduced, bias = solve(moments, ridge)
-    weights = jnp.matmul(projection.axes, reduced, precision=lax.Precision.HIGHEST)
+    weights = jnp.matmul(projection.axes, weights, precision=lax.Precision.HIGHEST)
     weights = weights.astype(jnp.float16).astype(jnp.float32)
     return weights, bias - jnp.matmul(projection.mean, weights, precision=lax.Precision.HIGHEST)
 
@@ -156,8 +154,9 @@ def train_cascade(
 ) -> Cascade:
     """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
 
-    Features are described batch by batch and only the moments of their principal components are kept; beside the
-    crops, a sample costs the memory of its state alone. The principal axes come from a fixed number of samples.
+    Features are described batch by batch and only the moments of their principal components are kept in memory; beside
+    the crops, a sample costs the memory of its state alone, and some kilobytes of temporary disk during a step. The
+    principal axes come from a fixed number of samples.
 
     Args:
         space: shape space to regress in.
@@ -190,13 +189,13 @@ def train_cascade(
     states = np.empty((count, augmentations, space.size), np.float32)
     layers = []
 
-    def batches(stage: str) -> Iterator[tuple[np.ndarray, Array, Array, Array, np.ndarray]]:
-        """Face numbers, crops, flips, states and which faces are no repetition that fills the last batch."""
+    def batches(stage: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Face numbers, and which of them do not merely fill the last batch."""
         for done in range(total):
             progress(stage, done, total)
             rows = np.arange(done * size, (done + 1) * size)
             valid, rows = rows < count, np.minimum(rows, count - 1)
-            yield rows, *pixels(rows), jnp.asarray(states[rows]), valid
+            yield rows, valid
         progress(stage, total, total)
 
     def pixels(rows: np.ndarray) -> tuple[Array, Array]:
@@ -215,22 +214,27 @@ def train_cascade(
             seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
         return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
 
-    for rows, _, _, _, _ in batches("drawing starts"):
+    for rows, _ in batches("drawing starts"):
         states[rows] = _draw(space, keys[rows], augmentations, frame, spread)
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
         window = jnp.float32(share * frame.face)
         projection = project(f"{step}: PCA", window)
         moments = Moments.empty(projection.axes.shape[1], space.size)
-        for rows, crops, flips, current, valid in batches(f"{step}: features"):
-            moments = _observe(
-                descriptor, space, projection, moments, crops, flips, current, targets[rows], valid, window
-            )
-        weights, bias = _regressor(projection, moments, jnp.float32(ridge))
-        layers.append((np.asarray(weights), np.asarray(bias)))
-        if number < len(windows):
-            for rows, crops, flips, current, _ in batches(f"{step}: advancing"):
-                states[rows] = _advance(descriptor, space, crops, flips, current, window, weights, bias)
+        # Principal components wait on disk for the regressor: describing everything again takes much longer.
+        with tempfile.TemporaryFile() as components:
+            for rows, valid in batches(f"{step}: features"):
+                crops, flips = pixels(rows)
+                moments, reduced = _observe(
+                    descriptor, space, projection, moments, crops, flips, states[rows], targets[rows], valid, window
+                )
+                components.write(np.asarray(reduced).tobytes())
+            weights, bias = solve(moments, jnp.float32(ridge))
+            layers.append(jax.tree.map(np.asarray, _unfolded(projection, weights, bias)))
+            components.seek(0)
+            for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
+                reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
+                states[rows] = _advance(space, states[rows], reduced, weights, bias)
     return Cascade(
         space=space,
         weights=jnp.asarray(np.stack([weights for weights, _ in layers])),

@@ -171,14 +171,20 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
 def _placement(values: dict[str, Any]) -> Placement:
     spread = values["spread"]
     return Placement(
-        shift=(float(values["shift"][0]), float(values["shift"][1])),
-        log_scale=float(values["log_scale"]),
+        shift=(_finite(values["shift"][0]), _finite(values["shift"][1])),
+        log_scale=_finite(values["log_scale"]),
         spread=Spread(
-            (float(spread["shift"][0]), float(spread["shift"][1])),
-            float(spread["log_scale"]),
-            float(spread["rotation"]),
+            (_finite(spread["shift"][0]), _finite(spread["shift"][1])),
+            _finite(spread["log_scale"]),
+            _finite(spread["rotation"]),
         ),
     )
+
+
+def _finite(value: float) -> float:
+    if not np.isfinite(value):
+        raise ModelError("damaged: a placement has values that are not finite numbers")
+    return float(value)
 
 
 def _name_of(names: dict[str, type], thing: object) -> str:

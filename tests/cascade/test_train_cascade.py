@@ -1,4 +1,4 @@
-"""Training in a tiny world: it learns, repeats itself bit by bit, and its step is ridge regression on dense matrices."""
+"""Training in a tiny world: it learns, repeats itself bit by bit, and a step is ridge regression on all samples."""
 
 from dataclasses import replace
 

@@ -1,0 +1,295 @@
+"""Saving and loading is the identity; whatever a file holds, loading it gives a model or a ModelError."""
+
+import copy
+import itertools
+import json
+import os
+import pickle
+import struct
+from dataclasses import replace
+
+import jax
+import jaxtyping
+import numpy as np
+import pytest
+from jax import numpy as jnp
+from safetensors.numpy import load as unpack
+from safetensors.numpy import save as pack
+
+from jaxfit.cascade.fit import fit_crops
+from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.train import Spread
+from jaxfit.data.placements import Placement
+from jaxfit.descriptors.sift import Sift
+from jaxfit.exceptions import InputError, ModelError
+from jaxfit.image.frame import Frame
+from jaxfit.models.files import bundled, load, save
+from jaxfit.models.model import Model
+from jaxfit.shapes.points import PointSpace
+from jaxfit.shapes.schemes import scheme_named
+
+PLACEMENT = Placement((0.01, -0.02), 0.1, Spread((0.05, 0.06), 0.07, 0.08))
+
+
+def model(seed=0, scheme="points2"):
+    rng = np.random.default_rng(seed)
+    count = scheme_named(scheme).count
+    weights = (0.1 * rng.normal(size=(2, count * 128, 2 * count))).astype(np.float16)
+    cascade = Cascade(
+        space=PointSpace(jnp.asarray(rng.normal(0, 8, (count, 2)), jnp.float32)),
+        weights=jnp.asarray(weights, jnp.float32),
+        biases=jnp.asarray(rng.normal(size=(2, 2 * count)), jnp.float32),
+        windows=jnp.array([14.0, 9.0]),
+        descriptor=Sift("principal", "vector"),
+        frame=Frame(crop=40, face=20.0),
+    )
+    placements = {"square": PLACEMENT, "haar": replace(PLACEMENT, shift=(0.3, 0.4))}
+    return Model(cascade, scheme_named(scheme), placements, {"method": "sdm", "windows": [0.7, 0.45], "faces": 12})
+
+
+def same_arrays(a, b):
+    pairs = zip(jax.tree.leaves(a.cascade), jax.tree.leaves(b.cascade), strict=True)
+    return all(np.array_equal(one, other) for one, other in pairs)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """The bytes of a sound file."""
+    path = tmp_path_factory.mktemp("models") / "good.safetensors"
+    save(model(), path)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def loaded(tmp_path, monkeypatch):
+    """Loads bytes: the model, or the words of the ModelError. Any other exception fails the test."""
+    path = tmp_path / "model.safetensors"
+    # Users have no checks of types at run time: they must not be what refuses a file.
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
+
+    def load_bytes(data):
+        path.write_bytes(data)
+        try:
+            return load(path)
+        except ModelError as error:
+            return str(error)
+
+    return load_bytes
+
+
+def repacked(good, change=lambda header: None, **tensors):
+    """A well-formed file whose header and tensors were changed; a tensor that is None is left out."""
+    length = int.from_bytes(good[:8], "little")
+    header = json.loads(json.loads(good[8 : 8 + length])["__metadata__"]["jaxfit"])
+    header = change(header) or header
+    arrays = {name: array for name, array in (unpack(good) | tensors).items() if array is not None}
+    return pack(arrays, {"jaxfit": json.dumps(header)})
+
+
+def test_a_loaded_model_is_the_saved_one(tmp_path):
+    original = model()
+    save(original, tmp_path / "a.safetensors")
+    found = load(tmp_path / "a.safetensors")
+    assert same_arrays(found, original)
+    assert jax.tree.structure(found.cascade) == jax.tree.structure(original.cascade)  # descriptor and frame, too
+    assert (found.scheme, found.placements, found.training) == (
+        original.scheme,
+        original.placements,
+        original.training,
+    )
+    crops = np.random.default_rng(0).integers(0, 256, (3, 40, 40)).astype(np.uint8)
+    np.testing.assert_array_equal(fit_crops(found.cascade, crops), fit_crops(original.cascade, crops))
+
+
+@pytest.mark.parametrize("scheme", ["points1", "aflw21", "ibug68"])
+def test_every_scheme(tmp_path, scheme):
+    original = model(scheme=scheme)
+    save(original, str(tmp_path / "a.safetensors"))
+    found = load(str(tmp_path / "a.safetensors"))
+    assert found.scheme == original.scheme
+    assert same_arrays(found, original)
+
+
+def test_the_same_model_gives_the_same_bytes(tmp_path):
+    paths = [tmp_path / f"{name}.safetensors" for name in "abc"]
+    save(model(), paths[0])
+    save(model(), paths[1])
+    save(load(paths[0]), paths[2])
+    first, second, third = (path.read_bytes() for path in paths)
+    assert first == second == third
+    save(model(seed=1), paths[0])
+    assert paths[0].read_bytes() != first
+
+
+def test_truncated_files_are_refused(good, loaded):
+    lengths = {*range(40), *np.linspace(40, len(good) - 1, 60).astype(int)}
+    for length in lengths:
+        assert "copy or train it again" in loaded(good[:length])
+    assert "copy or train it again" in loaded(good + b"\0")
+
+
+def test_changed_bytes_give_a_model_or_a_model_error(good, loaded):
+    rng = np.random.default_rng(0)
+    header = 8 + int.from_bytes(good[:8], "little")
+    for _ in range(300):
+        data = bytearray(good)
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(header)] = rng.integers(256)
+        assert isinstance(loaded(bytes(data)), str | Model)
+
+
+def test_random_bytes_are_refused(loaded):
+    rng = np.random.default_rng(0)
+    for length in (1, 7, 8, 9, 100, 10_000):
+        assert isinstance(loaded(rng.bytes(length)), str)
+        # A plausible length of the header before them.
+        assert isinstance(loaded(struct.pack("<Q", length) + rng.bytes(2 * length)), str)
+
+
+@pytest.mark.parametrize("header", [b"", b"{}", b"[]", b"7", b'"jaxfit"', b"null", b"\xff", b"[" * 100_000, b"{" * 9])
+def test_odd_headers_are_refused(loaded, header):
+    assert isinstance(loaded(struct.pack("<Q", len(header)) + header), str)
+    assert isinstance(loaded(pack({}, {"jaxfit": header.decode(errors="replace")})), str)
+
+
+def test_any_value_anywhere_in_the_header_gives_a_model_or_a_model_error(good, loaded):
+    values = [None, True, -1, 10**400, 1e300, float("nan"), "", "points3", "x" * 50, [], [1], {}, {"a": 1}]
+
+    def places(node, path=()):
+        yield path
+        children = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else ()
+        for key, child in children:
+            yield from places(child, (*path, key))
+
+    def put(header, path, value):
+        parent = header
+        for key in path[:-1]:
+            parent = parent[key]
+        parent[path[-1]] = value
+
+    headers = []
+    repacked(good, lambda header: headers.append(header))
+    for path, value in itertools.product([path for path in places(headers[0]) if path], values):
+        header = copy.deepcopy(headers[0])
+        put(header, path, value)
+        outcome = loaded(repacked(good, lambda _, header=header: header))
+        assert isinstance(outcome, str | Model)
+        if path[0] in ("space", "scheme") or (path[0] == "placements" and value != value):
+            assert isinstance(outcome, str), (path, value)
+
+
+def test_missing_entries_are_refused(good, loaded):
+    for name in unpack(good):
+        assert name in loaded(repacked(good, **{name: None}))
+    for name in ("format", "space", "descriptor", "frame", "scheme", "placements", "training"):
+        assert name in loaded(repacked(good, lambda header, name=name: header.pop(name) and None))
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("weights", (2, 256, 3)),
+        ("weights", (2, 128, 4)),
+        ("weights", (256, 4)),
+        ("biases", (3, 4)),
+        ("windows", (3,)),
+        ("windows", ()),
+        ("space.mean", (3, 2)),
+        ("space.mean", (2, 3)),
+        ("space.mean", (4,)),
+        ("space.mean", (0, 2)),
+    ],
+)
+def test_wrong_shapes_are_refused(good, loaded, name, shape):
+    assert isinstance(loaded(repacked(good, **{name: np.ones(shape, np.float32)})), str)
+
+
+def test_a_consistent_file_of_another_number_of_landmarks_is_refused(good, loaded):
+    tensors = {"weights": np.ones((2, 256, 6), np.float16), "biases": np.ones((2, 6), np.float32)}
+    assert "damaged" in loaded(repacked(good, **tensors, **{"space.mean": np.ones((3, 2), np.float32)}))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["weights", "biases", "windows", "space.mean"])
+def test_values_that_are_no_numbers_are_refused(good, loaded, name, value):
+    array = unpack(good)[name].copy()
+    array.flat[-1] = value
+    assert f"{name} has values that are not finite" in loaded(repacked(good, **{name: array}))
+
+
+def test_numbers_of_another_type_are_refused(good, loaded):
+    for kind in (np.float64, np.int32, np.bool_):
+        assert "16- or 32-bit numbers" in loaded(repacked(good, biases=np.ones((2, 4), kind)))
+
+
+def test_a_later_format_says_what_to_do(good, loaded):
+    words = loaded(repacked(good, lambda header: header.update(format=999)))
+    assert "model format 999, but this release reads format 1" in words
+
+
+def test_other_safetensors_files_are_refused(loaded):
+    for metadata in (None, {}, {"format": "pt"}):
+        assert "without our header" in loaded(pack({"weights": np.ones(3)}, metadata))
+
+
+class Trap:
+    """Unpickling it would write a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
+def test_pickles_are_refused_and_not_executed(loaded, tmp_path):
+    assert "damaged" in loaded(pickle.dumps(Trap(str(tmp_path / "sprung"))))
+    assert not (tmp_path / "sprung").exists()
+
+
+def test_missing_files_and_folders(tmp_path):
+    with pytest.raises(ModelError, match="no model 'nothing': expected one of the bundled models"):
+        load("nothing")
+    with pytest.raises(ModelError, match=f"no model '{tmp_path}'"):
+        load(tmp_path)
+    (tmp_path / "empty.safetensors").touch()
+    with pytest.raises(ModelError, match=rf"{tmp_path}/empty\.safetensors: not a jaxfit model, or damaged"):
+        load(tmp_path / "empty.safetensors")
+
+
+@pytest.mark.parametrize("name", ["model", "model.npz", "none/model.safetensors"])
+def test_impossible_file_names_are_refused(tmp_path, name):
+    with pytest.raises(InputError, match=r"ending in \.safetensors in a folder that exists"):
+        save(model(), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("fails", ["fsync", "replace"])
+def test_a_failing_disk_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch, fails):
+    path = tmp_path / "a.safetensors"
+    save(model(), path)
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(os, fails, full)
+    with pytest.raises(OSError, match="no space left"):
+        save(model(seed=1), path)
+    assert [*tmp_path.iterdir()] == [path]
+    assert path.read_bytes() == before
+
+
+def test_bundled_models_load():
+    for name in bundled():
+        found = load(name)
+        assert found.cascade.space.mean.shape == (found.scheme.count, 2)
+        assert all(np.isfinite(array).all() for array in jax.tree.leaves(found.cascade))
+
+
+def test_a_model_knows_square_boxes():
+    with pytest.raises(InputError, match="placement of 'square' boxes"):
+        replace(model(), placements={"haar": PLACEMENT})
+    with pytest.raises(InputError, match="boxes of the kinds square, haar; got 'yunet'"):
+        model().placement("yunet")
+    assert model().placement("square") == PLACEMENT
