@@ -101,7 +101,7 @@ def evaluate(
     nmed(landmarks[:0], truth[:0], model.scheme, normaliser)  # a wrong normaliser stops before the work
     if faces:
         progress("compiling (cached for later runs)", 0, len(faces))
-        warm_up(model)
+        warm_up(model, [size for size in BATCHES if size <= len(faces)])
     problems: dict[int, str] = {}
     seconds, fitted = 0.0, 0
     for first in range(0, len(faces), BATCHES[0]):

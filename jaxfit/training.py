@@ -24,7 +24,7 @@ from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
 
 # Faces in which detectors are run to learn how their boxes lie; enough for means and spreads.
-_DETECTED_FACES = 300
+_DETECTED_FACES = 150
 _FEWEST_DETECTED = 20
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 

@@ -22,20 +22,9 @@ from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.evaluating import evaluate, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.evaluation.statistics import summarise
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.evaluation.tables import SUMMARY_COLUMNS, markdown_table, summary_row
 from jaxfit.exceptions import InputError, JaxfitError
 from jaxfit.training import train
-
-_COLUMNS = {
-    "dataset": "",
-    "faces": "d",
-    "mean": ".4f",
-    "± 95 %": ".4f",
-    "median": ".4f",
-    "AUC@0.08": ".3f",
-    "failure@0.08": ".3f",
-}
 
 
 def main() -> int:
@@ -125,21 +114,8 @@ def _table(paths: list[Path], names: dict[str, None]) -> str:
         with open(path, encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
                 errors[row["dataset"]].append(float(row["nmed"]))
-    rows = []
-    for name, values in errors.items():
-        summary = summarise(np.array(values))
-        rows.append(
-            {
-                "dataset": name,
-                "faces": summary.faces,
-                "mean": summary.mean,
-                "± 95 %": summary.ci95,
-                "median": summary.median,
-                "AUC@0.08": summary.auc,
-                "failure@0.08": summary.failure,
-            }
-        )
-    return markdown_table(rows, _COLUMNS)
+    rows = [{"dataset": name, **summary_row(np.array(values))} for name, values in errors.items()]
+    return markdown_table(rows, {"dataset": "", **SUMMARY_COLUMNS})
 
 
 if __name__ == "__main__":

@@ -13,6 +13,9 @@ from jaxfit.image.frame import Frame
 from jaxfit.shapes.space import ShapeSpace, Start
 from jaxfit.types import Crop, Features, Landmarks, Params, Scalar
 
+# Faces whose windows are sampled together: few enough to stay in the processor's cache.
+FACES_AT_ONCE = 4
+
 
 def features_at(descriptor: Descriptor, space: ShapeSpace, prepared: Any, params: Params, window: Scalar) -> Features:
     """The concatenated descriptors of one face; ``window`` is the side, in pixels, for a face of scale 1."""
@@ -73,4 +76,4 @@ def fit_crops(
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
     """
     starts = starts_of(cascade.frame, jnp.zeros(1) if rotations is None else rotations)
-    return vmap(lambda crop: fit_starts(cascade, crop, starts))(crops)
+    return lax.map(lambda crop: fit_starts(cascade, crop, starts), crops, batch_size=FACES_AT_ONCE)

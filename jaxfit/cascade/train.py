@@ -11,7 +11,7 @@ from jax import lax, random, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from jaxfit.cascade.fit import features_at
+from jaxfit.cascade.fit import FACES_AT_ONCE, features_at
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.regression import Moments, Projection, principal_axes, solve
 from jaxfit.descriptors.descriptor import Descriptor
@@ -23,7 +23,7 @@ from jaxfit.types import Scalar
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
 _BATCH = 512
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
-_PCA_SAMPLES = 4096
+_PCA_SAMPLES = 3072
 
 Progress = Callable[[str, int, int], None]
 
@@ -87,11 +87,12 @@ def _describe(
     states: Float[Array, "faces augmentations params"],
     window: Scalar,
 ) -> Float[Array, "faces augmentations features"]:
-    def face(crop: Array, flip: Array, states: Array) -> Array:
+    def face(inputs: tuple[Array, Array, Array]) -> Array:
+        crop, flip, states = inputs
         prepared = descriptor.prepare(jnp.where(flip, crop[:, ::-1], crop))
         return vmap(lambda state: features_at(descriptor, space, prepared, state, window))(states)
 
-    return vmap(face)(crops, mirrored, states)
+    return lax.map(face, (crops, mirrored, states), batch_size=FACES_AT_ONCE)
 
 
 _describe_batch = jax.jit(_describe, static_argnames="descriptor")

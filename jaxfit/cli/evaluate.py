@@ -14,19 +14,10 @@ from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.evaluating import Evaluation, evaluate, match_boxes, require_scheme, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
 from jaxfit.evaluation.statistics import summarise
-from jaxfit.evaluation.tables import text_table
+from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
 from jaxfit.models.files import load
 
-_COLUMNS = {
-    "dataset": "",
-    "faces": "d",
-    "mean": ".4f",
-    "± 95 %": ".4f",
-    "median": ".4f",
-    "AUC@0.08": ".3f",
-    "failure@0.08": ".3f",
-    "ms/face": ".1f",
-}
+_COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, "ms/face": ".1f"}
 _FACE_COLUMNS = ("dataset", "face", "subject", "image", "x", "y", "width", "height", "nmed", "problem")
 
 
@@ -97,17 +88,7 @@ def _report(result: Evaluation) -> dict[str, Any]:
 
 
 def _row(spec: str, result: Evaluation) -> dict[str, object]:
-    summary = summarise(result.errors)
-    return {
-        "dataset": spec,
-        "faces": summary.faces,
-        "mean": summary.mean,
-        "± 95 %": summary.ci95,
-        "median": summary.median,
-        "AUC@0.08": summary.auc,
-        "failure@0.08": summary.failure,
-        "ms/face": result.seconds_per_face * 1000,
-    }
+    return {"dataset": spec, **summary_row(result.errors), "ms/face": result.seconds_per_face * 1000}
 
 
 def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:

@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,12 @@ from jaxfit.data.outputs import write_csv
 from jaxfit.data.overlays import draw_landmarks
 from jaxfit.data.pts import write_pts
 from jaxfit.exceptions import ImageError
-from jaxfit.fitting import fit, warm_up
+from jaxfit.fitting import fit
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 
 # Pictures that are read, fitted and written together; it bounds memory.
-_CHUNK = 32
+_CHUNK = 16
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,8 @@ def run(options: argparse.Namespace) -> int:
     rows: list[list[object]] = []
     problems: list[str] = []
     with Bars() as bars:
-        bars("compiling (cached for later runs)", 0, 1)
-        warm_up(model)
         for first in range(0, len(pictures), _CHUNK):
-            bars("fitting pictures", first, len(pictures))
+            bars("fitting pictures" if first else "compiling, then fitting pictures", first, len(pictures))
             faces = []
             for picture in pictures[first : first + _CHUNK]:
                 try:
@@ -93,11 +92,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _unique_names(pictures: Sequence[Path]) -> dict[Path, str]:
     """What the results of each picture are called: its stem, numbered where several pictures share it."""
-    seen: dict[str, int] = {}
-    names = {}
+    names: dict[Path, str] = {}
+    taken: set[str] = set()
     for picture in pictures:
-        seen[picture.stem] = seen.get(picture.stem, 0) + 1
-        names[picture] = picture.stem + (f"-{seen[picture.stem]}" if seen[picture.stem] > 1 else "")
+        candidates = chain([picture.stem], (f"{picture.stem}-{number}" for number in count(2)))
+        names[picture] = next(name for name in candidates if name not in taken)
+        taken.add(names[picture])
     return names
 
 

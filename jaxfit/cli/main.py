@@ -26,7 +26,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if it did what it was asked, 2 after a mistake in the request, 1 if some faces failed."""
+    """Run the command; 0 if it did what it was asked, 1 if no face could be fitted, 2 after a wrong request."""
     options = parser().parse_args(arguments)
     keep_compiled_code()
     try:

@@ -5,7 +5,27 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from jaxfit.evaluation.curves import LIMIT
+from jaxfit.evaluation.statistics import summarise
+
 Row = Mapping[str, object]
+
+# The columns of a table of datasets or methods, whose rows ``summary_row`` makes.
+SUMMARY_COLUMNS = {
+    "faces": "d",
+    "mean": ".4f",
+    "± 95 %": ".4f",
+    "median": ".4f",
+    f"AUC@{LIMIT:g}": ".3f",
+    f"failure@{LIMIT:g}": ".3f",
+}
+
+
+def summary_row(errors: np.ndarray) -> dict[str, object]:
+    """The row of ``SUMMARY_COLUMNS`` for errors (N,)."""
+    summary = summarise(errors)
+    values = (summary.faces, summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
+    return dict(zip(SUMMARY_COLUMNS, values, strict=True))
 
 
 def text_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:

@@ -158,7 +158,7 @@ def scheme_of_count(count: int) -> Scheme:
     return Scheme(name=f"points{count}", count=count)
 
 
-def mirrored(landmarks: np.ndarray, width: float, scheme: Scheme) -> np.ndarray:
+def mirrored(landmarks: np.ndarray, width: int | float, scheme: Scheme) -> np.ndarray:
     """Landmarks (..., L, 2) of the picture flipped left to right; ``width`` is the picture's, in pixels.
 
     Raises:

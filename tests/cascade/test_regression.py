@@ -115,11 +115,15 @@ def test_principal_axes_are_those_of_the_svd(shape, variance):
             np.testing.assert_allclose(mine @ mine.T, axes[:first].T @ axes[:first], atol=5e-3)
 
 
+@pytest.mark.parametrize("rank", [1, 3, 8])
 @pytest.mark.parametrize("shape", [(60, 8), (8, 60)])
-def test_axes_of_all_variance_rebuild_the_features(shape):
-    x = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+def test_axes_of_all_variance_rebuild_the_features(shape, rank):
+    rng = np.random.default_rng(0)
+    x = (rng.normal(size=(shape[0], rank)) @ rng.normal(size=(rank, shape[1])) + 5).astype(np.float32)
     found = principal_axes(jnp.asarray(x), 1.0)
-    assert found.axes.shape[1] <= min(shape)
+    kept = found.axes.shape[1]
+    assert kept <= rank
+    np.testing.assert_allclose(found.axes.T @ found.axes, np.eye(kept), atol=2e-3)
     np.testing.assert_allclose((x - found.mean) @ found.axes @ found.axes.T + found.mean, x, atol=1e-3)
 
 

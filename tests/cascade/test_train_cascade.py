@@ -40,7 +40,7 @@ def error_after(cascade, steps, crops=CROPS, landmarks=LANDMARKS):
 
 
 @pytest.mark.parametrize(
-    ("descriptor", "windows"), [(Patch(), (0.9, 0.7, 0.5)), (Sift(), (0.9, 0.6))], ids=["patch", "sift"]
+    ("descriptor", "windows"), [(Patch(), (0.9, 0.7, 0.5)), (Sift(), (0.9,))], ids=["patch", "sift"]
 )
 def test_learns(descriptor, windows):
     cascade = trained(descriptor=descriptor, windows=windows)

@@ -27,7 +27,7 @@ def describer(orientation="upright", normalisation="cell"):
 @cache
 def plain_describer(orientation):
     """Descriptor of a picture that is taken as it is, not smoothed."""
-    return jax.jit(Sift(orientation).describe)
+    return jax.jit(Sift(orientation, "cell").describe)
 
 
 def describe(crop, point=(MIDDLE, MIDDLE), side=24.0, orientation="upright", normalisation="cell"):
