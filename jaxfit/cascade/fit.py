@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int, UInt8
 
 from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.shapes.space import ShapeSpace, Start
 from jaxfit.types import Crop, Features, Landmarks, Params, Scalar
@@ -74,6 +75,12 @@ def fit_crops(
         crops: uint8 grey crops of ``cascade.frame``, the expected face upright in the middle at the canonical size,
             as ``jaxfit.crop_faces`` cuts them.
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
+
+    Raises:
+        InputError: crops of another size.
     """
+    side = cascade.frame.crop
+    if crops.shape[1:] != (side, side):
+        raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
     starts = starts_of(cascade.frame, jnp.zeros(1) if rotations is None else rotations)
     return lax.map(lambda crop: fit_starts(cascade, crop, starts), crops, batch_size=FACES_AT_ONCE)

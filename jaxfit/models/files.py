@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from safetensors import SafetensorError
 from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as pack_tensors
@@ -51,7 +52,8 @@ def save(model: Model, path: str | Path) -> None:
     Weights are stored as float16, the precision that training rounds them to.
 
     Raises:
-        InputError: the name does not end in ``.safetensors`` or its folder does not exist.
+        InputError: the name does not end in ``.safetensors``, its folder does not exist, or a weight is too large for
+            float16.
     """
     path = Path(path)
     if path.suffix != SUFFIX or not path.parent.is_dir():
@@ -59,7 +61,7 @@ def save(model: Model, path: str | Path) -> None:
     cascade = model.cascade
     space = vars(cascade.space)
     tensors: dict[str, np.ndarray] = {
-        "weights": np.asarray(cascade.weights, np.float16),
+        "weights": _half(cascade.weights),
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
         **{f"space.{name}": np.asarray(value, np.float32) for name, value in space.items()},
@@ -76,6 +78,8 @@ def save(model: Model, path: str | Path) -> None:
         "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
         "training": model.training,
     }
+    if not np.isfinite(tensors["weights"]).all():
+        raise InputError("the weights do not fit into float16; train with a stronger ridge")
     # One metadata entry only: the format does not fix the order of several, and equal models must be equal files.
     data = pack_tensors(tensors, {_KEY: json.dumps(header, sort_keys=True)})
     with atomic_write(path) as file:
@@ -101,10 +105,10 @@ def load(name: str | Path) -> Model:
     else:
         try:
             data = Path(name).read_bytes()
-        except OSError as error:
+        except (OSError, ValueError) as error:
             raise ModelError(
                 f"no model {str(name)!r}: expected one of the bundled models ({', '.join(bundled()) or 'none'}) or "
-                f"the path of a model file ({error.strerror})"
+                f"the path of a model file ({getattr(error, 'strerror', None) or error})"
             ) from None
     try:
         return _parse(data)
@@ -154,6 +158,8 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
     for name, tensor in tensors.items():
         if tensor.dtype not in (np.float16, np.float32) or not np.isfinite(tensor).all():
             raise ModelError(f"damaged: {name} has values that are not finite 16- or 32-bit numbers")
+    if not (tensors["windows"] > 0).all():
+        raise ModelError("damaged: descriptor windows must be larger than 0")
     start = Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))
     placed = jax.eval_shape(lambda: space.landmarks(space.place(start)))
     if placed.shape != (count, 2):
@@ -166,6 +172,11 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         descriptor=descriptor,
         frame=Frame(**header["frame"]),
     )
+
+
+def _half(weights: Array) -> np.ndarray:
+    with np.errstate(over="ignore"):  # infinities are refused with a message of ours
+        return np.asarray(weights).astype(np.float16)
 
 
 def _placement(values: dict[str, Any]) -> Placement:
