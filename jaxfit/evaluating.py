@@ -4,6 +4,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -46,7 +47,12 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
     scaled by exp(N(0, 8 %)).
 
     A face gets the same box whatever other faces come with it. A face without any landmark gets NaN.
+
+    Raises:
+        InputError: a negative seed.
     """
+    if seed < 0:
+        raise InputError(f"expected a seed of 0 or more; got {seed}")
     boxes = []
     for face in faces:
         rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
@@ -55,18 +61,29 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
 
 
 def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[np.ndarray]]) -> np.ndarray:
-    """Boxes (N, 4) from those given by picture name; of several in a picture, the one nearest to the face.
+    """Boxes (N, 4) from those given by picture name; each box goes to one face at most, the nearest pairs first.
 
-    NaN where the picture has none: such a face counts as undetected.
+    NaN where none is left for a face: it counts as undetected.
     """
-    boxes = []
-    for face in faces:
-        given = named.get(face.image.name, [])
-        if len(given) > 1 and face.present.any():
-            middle = box_centre(bounding_square(face.landmarks))
-            given = sorted(given, key=lambda box: float(np.hypot(*(box_centre(box) - middle))))
-        boxes.append(given[0] if len(given) else _NO_BOX)
-    return np.array(boxes).reshape(-1, 4)
+    boxes = np.tile(_NO_BOX, (len(faces), 1))
+    pictures: dict[Path, list[int]] = {}
+    for number, face in enumerate(faces):
+        pictures.setdefault(face.image, []).append(number)
+    for picture, numbers in pictures.items():
+        given = list(named.get(picture.name, []))
+        pairs = sorted((_distance(faces[n], box), n, k) for n in numbers for k, box in enumerate(given))
+        used: set[int] = set()
+        for _, number, k in pairs:
+            if k not in used and np.isnan(boxes[number]).all():
+                boxes[number] = given[k]
+                used.add(k)
+    return boxes
+
+
+def _distance(face: FaceRecord, box: np.ndarray) -> float:
+    if not face.present.any():
+        return 0.0
+    return float(np.hypot(*(box_centre(box) - box_centre(bounding_square(face.landmarks)))))
 
 
 def evaluate(

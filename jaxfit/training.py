@@ -1,7 +1,8 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from math import isfinite
 from typing import Any
 
 import jax.numpy as jnp
@@ -22,10 +23,11 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
+from jaxfit.shapes.space import ShapeSpace
 
-# Faces in which detectors are run to learn how their boxes lie; enough for means and spreads.
-_DETECTED_FACES = 150
-_FEWEST_DETECTED = 20
+# Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
+_DETECTED_FACES = 2000
+_FEWEST_DETECTED = 10
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 
 
@@ -38,8 +40,9 @@ class Options:
             thesis's constant, 32 pixels, is ``(32 / frame.face,) * steps``.
         augmentations: starts drawn for each face; a mirrored face counts as a face of its own.
         variance: share of the features' variance that the PCA keeps, in (0, 1].
-        ridge: strength of the ridge penalty, relative to the mean variance of a feature; 0 is plain least squares.
-        spread: factor on the measured spread of the starts.
+        ridge: strength of the ridge penalty, relative to the mean variance of a kept component; 0 is least squares.
+        spread: factor on the measured spread of the starts. They are drawn around crops in which true faces scatter
+            too, so that the starts of training are wider than those of fitting: better than narrower.
         mirror: train on mirrored pictures too.
         seed: of boxes and starts.
         descriptor: what is seen at a landmark.
@@ -55,6 +58,22 @@ class Options:
     seed: int = 0
     descriptor: Descriptor = field(default_factory=Sift)
     frame: Frame = field(default_factory=Frame)
+
+    def __post_init__(self) -> None:
+        numbers = (*self.windows, self.variance, self.ridge, self.spread)
+        if not (
+            self.windows
+            and all(map(isfinite, numbers))
+            and min(self.windows) > 0
+            and self.augmentations >= 1
+            and 0 < self.variance <= 1
+            and min(self.ridge, self.spread, self.seed) >= 0
+        ):
+            raise InputError(
+                "expected at least one step, windows > 0, augmentations >= 1, 0 < variance <= 1, and ridge, spread and "
+                f"seed >= 0; got windows {self.windows}, augmentations {self.augmentations}, variance {self.variance}, "
+                f"ridge {self.ridge}, spread {self.spread}, seed {self.seed}"
+            )
 
 
 @dataclass(frozen=True)
@@ -72,8 +91,12 @@ class Trained:
     problems: tuple[str, ...]
 
 
-# Methods by name: each makes the shape space from the mean face.
-METHODS = {"sdm": PointSpace}
+def _point_space(faces: np.ndarray, frame: Frame) -> PointSpace:
+    return PointSpace(jnp.asarray(mean_face(faces, frame.face), jnp.float32))
+
+
+# Methods by name: each learns its shape space from faces (N, L, 2), given in units of their bounding squares.
+METHODS: dict[str, Callable[[np.ndarray, Frame], ShapeSpace]] = {"sdm": _point_space}
 
 
 def train(
@@ -99,15 +122,15 @@ def train(
     options = options or Options()
     if method not in METHODS:
         raise InputError(f"expected a method among {', '.join(METHODS)}; got {method!r}")
-    complete = [face for face in faces if face.complete]
-    problems = []
-    if left_out := len(faces) - len(complete):
-        problems.append(f"{left_out} of {len(faces)} faces left out: not all {scheme.count} landmarks are annotated")
+    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
+        raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
+    complete, problems = _usable(faces, scheme)
     if len(complete) < 2:
         raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
     landmarks = np.stack([face.landmarks for face in complete])
     squares = np.stack([bounding_square(points) for points in landmarks])
-    mean = mean_face((landmarks - (squares[:, None, :2])) / squares[:, None, 2:], options.frame.face)
+    relative = (landmarks - squares[:, None, :2]) / squares[:, None, 2:]
+    mean = mean_face(relative, options.frame.face)
     rng = np.random.default_rng(options.seed)
     jittered = np.stack([jitter(square, rng) for square in squares])
     placement = measure_placement(jittered, landmarks, mean, options.frame.face)
@@ -130,7 +153,7 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
 
     rows = np.array(usable)
-    space = METHODS[method](jnp.asarray(mean, jnp.float32))
+    space = METHODS[method](relative[rows], options.frame)
     cascade = train_cascade(
         space,
         options.descriptor,
@@ -150,6 +173,17 @@ def train(
         len(usable),
         tuple(problems),
     )
+
+
+def _usable(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
+    """The faces to learn from, and what is wrong with the others."""
+    complete = [face for face in faces if face.complete]
+    problems = []
+    if left_out := len(faces) - len(complete):
+        problems.append(f"{left_out} of {len(faces)} faces left out: not all {scheme.count} landmarks are annotated")
+    points = [face for face in complete if bounding_square(face.landmarks)[2] == 0]
+    problems += [f"{face.image}: all landmarks are the same point" for face in points]
+    return [face for face in complete if bounding_square(face.landmarks)[2] > 0], problems
 
 
 class _Detected:

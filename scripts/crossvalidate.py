@@ -14,10 +14,9 @@ import jax
 import numpy as np
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, add_training, out_folder, training_options
+from jaxfit.cli.arguments import add_datasets, add_training, out_folder, read_datasets, training_options
 from jaxfit.cli.main import keep_compiled_code
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.datasets import read_dataset
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.evaluating import evaluate, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
@@ -45,13 +44,23 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    datasets = [read_dataset(spec) for spec in arguments.data]
+    datasets = read_datasets(arguments.data)
     scheme = datasets[0].scheme
     # Methods are trained on complete faces and compared on them.
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
-    names = [Path(d.spec.partition(":")[2]).name for d in datasets for face in d.faces if face.complete]
+    for dataset in datasets:
+        complete = sum(face.complete for face in dataset.faces)
+        print(f"{dataset.spec}: {complete} complete of {len(dataset.faces)} faces")
+        report_problems(list(dataset.problems))
+    # Named by folder, so that the settings do not depend on where the data lie.
+    folders = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
+    if len(set(folders)) < len(folders):
+        raise InputError(f"expected datasets in folders of different names; got {' '.join(folders)}")
+    names = [name for name, dataset in zip(folders, datasets, strict=True) for face in dataset.faces if face.complete]
     subjects = [f"{name}/{face.subject}" for name, face in zip(names, faces, strict=True)]
     folds = split_by_subject(subjects, arguments.folds, arguments.seed)
+    if arguments.fold is not None and not 0 <= arguments.fold < arguments.folds:
+        raise InputError(f"expected --fold from 0 to {arguments.folds - 1}; got {arguments.fold}")
     folder = out_folder(arguments.out)
     settings = {k: v for k, v in sorted(vars(arguments).items()) if k not in ("out", "fold", "data")}
     settings["datasets"] = sorted({name: names.count(name) for name in names}.items())

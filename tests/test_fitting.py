@@ -79,13 +79,14 @@ def test_a_scaled_picture_scales_the_fit(model, portrait, box, landmarks, factor
     assert apart(fitted, landmarks, landmarks) < 0.02
 
 
-def test_any_number_of_faces_gives_what_one_at_a_time_gives(model, portrait, box) -> None:
+def test_any_number_of_faces_gives_what_one_at_a_time_gives(model, portrait, box, landmarks) -> None:
     count = BATCHES[0] + BATCHES[1] + 2
     boxes = box + np.linspace(-6, 6, count)[:, None] * [1, 1, 0, 0]
     together = jaxfit.fit(model, [portrait] * count, boxes, kind=KIND).landmarks
     for number in (0, BATCHES[0], count - 1):
         alone = jaxfit.fit(model, [portrait], boxes[[number]], kind=KIND).landmarks[0]
-        np.testing.assert_allclose(together[number], alone, atol=2e-2)
+        # Not to the last digit: rounding may move a gradient from one orientation bin to the next.
+        assert apart(together[number], alone, landmarks) < 1e-3
 
 
 def test_no_faces_give_no_fits(model) -> None:
@@ -99,7 +100,7 @@ def test_bad_faces_do_not_stop_the_others(model, portrait, box, landmarks) -> No
     boxes = [box, [np.nan, 0, 9, 9], box, box, [9000, 0, 9, 9], [0, 0, 0, 9]]
     fits = jaxfit.fit(model, images, boxes, kind=KIND)
     assert fits.ok.tolist() == [True] + [False] * 5
-    np.testing.assert_allclose(fits.landmarks[0], landmarks, atol=2e-2)
+    assert apart(fits.landmarks[0], landmarks, landmarks) < 1e-3
     assert set(fits.problems) == {1, 2, 3, 4, 5}
     for number, words in {1: "finite", 2: "uint8", 3: "pixel", 4: "outside", 5: "no area"}.items():
         assert words in fits.problems[number]

@@ -48,10 +48,14 @@ def starts_of(frame: Frame, rotations: Float[Array, "starts"]) -> Start:
 
 
 def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
-    """Index of the candidate with the smallest sum of point distances to the others (thesis 3.2.3, Eq. 12)."""
-    apart = candidates[:, None] - candidates[None, :]
-    squared = jnp.sum(apart**2, -1)
-    return jnp.argmin(jnp.sum(jnp.sqrt(squared), (1, 2)))
+    """Index of the candidate with the smallest sum of point distances to the others (thesis 3.2.3, Eq. 12).
+
+    Candidates that diverged, with coordinates that are not finite, are neither kept nor counted.
+    """
+    finite = jnp.isfinite(candidates).all((1, 2))
+    known = jnp.where(finite[:, None, None], candidates, 0.0)
+    distances = jnp.sqrt(jnp.sum((known[:, None] - known[None, :]) ** 2, -1)).sum(2)
+    return jnp.argmin(jnp.where(finite, distances @ finite.astype(distances.dtype), jnp.inf))
 
 
 def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Landmarks:

@@ -108,7 +108,8 @@ def solve(moments: Moments, ridge: Float[Array, ""]) -> tuple[Float[Array, "feat
 
     Args:
         moments: of the samples.
-        ridge: strength of the ridge penalty, relative to the mean variance of a feature; 0 is plain least squares.
+        ridge: strength of the ridge penalty, relative to the mean variance of a feature given here: a kept component,
+            when the features are projected. 0 is plain least squares.
 
     Returns:
         Weights and bias: ``step = features @ weights + bias``.

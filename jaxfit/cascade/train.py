@@ -33,7 +33,7 @@ class Spread:
     """Standard deviations of the starts around the face box, measured on the training set.
 
     Attributes:
-        shift: of the centre, in sides of the canonical face, for x and y.
+        shift: of the centre, in sides of the face box, for x and y.
         log_scale: of the logarithm of the scale.
         rotation: of the rotation, in radians.
     """
@@ -168,9 +168,9 @@ def train_cascade(
         windows: side of the descriptor window at each step, as a share of the canonical face's side; one a step.
         augmentations: starts drawn for each face.
         variance: share of variance that the PCA of the features keeps, in (0, 1].
-        ridge: ridge strength, relative to the mean variance of a feature.
+        ridge: ridge strength, relative to the mean variance of a kept component.
         seed: of the starts; the same seed on the same machine gives the same bits.
-        progress: called with the stage's name, batches done and batches in all.
+        progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
         InputError: an option out of range, or no faces.

@@ -1,9 +1,11 @@
 """Arguments that several commands share, and how their values are read."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
-from jaxfit.data.datasets import FORMATS
+from jaxfit.data.datasets import FORMATS, read_dataset
+from jaxfit.data.records import Dataset
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -61,7 +63,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--normalisation", choices=("cell", "vector"), default=Sift().normalisation)
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
     command.add_argument("--face", type=float, default=Frame().face, help="side of the face in them, in pixels")
-    command.add_argument("--seed", type=int, default=_DEFAULT.seed, help="the same seed gives the same model")
+    command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="the same seed gives the same model")
 
 
 def training_options(arguments: argparse.Namespace, scheme: Scheme) -> Options:
@@ -77,6 +79,26 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme) -> Options:
         descriptor=Sift(arguments.orientation, arguments.normalisation),
         frame=Frame(arguments.crop, arguments.face),
     )
+
+
+def seed(text: str) -> int:
+    """A seed on the command line: a whole number that is not negative."""
+    number = int(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
+    return number
+
+
+def read_datasets(specs: Sequence[str]) -> list[Dataset]:
+    """The datasets that ``--data`` names.
+
+    Raises:
+        InputError: one is named twice.
+        DatasetError: one cannot be read.
+    """
+    if len(set(specs)) < len(specs):
+        raise InputError(f"--data: expected each dataset once; got {' '.join(specs)}")
+    return [read_dataset(spec) for spec in specs]
 
 
 def out_folder(path: str) -> Path:

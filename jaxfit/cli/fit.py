@@ -78,12 +78,13 @@ def run(options: argparse.Namespace) -> int:
                 except ImageError as error:
                     problems.append(str(error))
             fitted, complaints = _fit(model, faces)
-            problems += complaints
-            _write(folder, model, fitted)
+            problems += complaints + _write(folder, model, fitted)
             rows += [_row(face, landmarks) for face, landmarks in fitted]
         bars("fitting pictures", len(pictures), len(pictures))
     points = [f"{axis}{i}" for i in range(1, model.scheme.count + 1) for axis in "xy"]
     write_csv(folder / "landmarks.csv", ["image", "face", "box", "x", "y", "width", "height", *points], rows)
+    if boxes is not None and (unused := boxes.keys() - {picture.name for picture in pictures}):
+        problems.append(f"{options.boxes}: rows for {len(unused)} files that were not given, such as {min(unused)}")
     report_problems(problems)
     print(f"{len(rows)} faces in {len(pictures)} pictures; landmarks from {options.model}")
     print(f"written: {folder / 'landmarks.csv'}, {folder / 'pts'}, {folder / 'overlays'}")
@@ -125,15 +126,20 @@ def _fit(model: Model, faces: Sequence[_Face]) -> tuple[list[tuple[_Face, np.nda
     return fitted, [f"{faces[i].picture}: {why}" for i, why in fits.problems.items()]
 
 
-def _write(folder: Path, model: Model, fitted: Sequence[tuple[_Face, np.ndarray]]) -> None:
-    """A ``.pts`` file for each face, and one overlay for each picture."""
+def _write(folder: Path, model: Model, fitted: Sequence[tuple[_Face, np.ndarray]]) -> list[str]:
+    """A ``.pts`` file for each face, and one overlay for each picture; returns what could not be written."""
+    problems = []
     overlays: dict[str, np.ndarray] = {}
     for face, landmarks in fitted:
         write_pts(folder / "pts" / f"{face.label}.pts", landmarks)
         canvas = overlays.get(face.name, face.rgb)
         overlays[face.name] = draw_landmarks(canvas, landmarks, model.scheme, box=face.box)
     for name, overlay in overlays.items():
-        write_image(folder / "overlays" / f"{name}.jpg", overlay)
+        try:
+            write_image(folder / "overlays" / f"{name}.jpg", overlay)
+        except ImageError as error:
+            problems.append(str(error))
+    return problems
 
 
 def _row(face: _Face, landmarks: np.ndarray) -> list[object]:

@@ -34,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except JaxfitError as error:
         print(f"jaxfit: error: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        # Full disks, folders that may not be written to: nothing that a traceback would explain better.
+        print(f"jaxfit: error: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("jaxfit: stopped; nothing half-written was left behind", file=sys.stderr)
         return 130
@@ -43,11 +47,11 @@ def keep_compiled_code() -> None:
     """Let later runs start with what this one compiles, unless the user's own JAX settings say where."""
     if getattr(jax.config, "jax_compilation_cache_dir", None):
         return
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxfit"
     try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxfit"
         cache.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return  # a read-only home costs some seconds at every start, nothing else
+    except (OSError, RuntimeError):
+        return  # no home, or a read-only one, costs some seconds at every start and nothing else
     jax.config.update("jax_compilation_cache_dir", str(cache))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 

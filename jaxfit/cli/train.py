@@ -1,11 +1,11 @@
 """``jaxfit train``: learn a model from labelled faces."""
 
 import argparse
+import os
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_datasets, add_training, training_options
+from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, training_options
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.datasets import read_dataset
 from jaxfit.exceptions import InputError
 from jaxfit.models.files import SUFFIX, save
 from jaxfit.training import train
@@ -28,10 +28,12 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Train and save."""
     out = Path(options.out)
-    if out.suffix != SUFFIX or not out.parent.is_dir():
+    if out.suffix != SUFFIX or out.is_dir() or not os.access(out.parent, os.W_OK):
         # Better before an hour of training than after it.
-        raise InputError(f"--out: expected a file name ending in {SUFFIX} in a folder that exists; got {out}")
-    datasets = [read_dataset(spec) for spec in options.data]
+        raise InputError(
+            f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {out}"
+        )
+    datasets = read_datasets(options.data)
     scheme = datasets[0].scheme
     for dataset in datasets[1:]:
         if dataset.scheme != scheme:

@@ -1,1 +1,6 @@
 """What a landmark's neighbourhood looks like, as a vector; pure JAX, for one landmark."""
+
+from jaxfit.descriptors.sift import Sift
+
+# What model files call the descriptors; a new one is a line here.
+DESCRIPTORS = {"sift": Sift}

@@ -13,6 +13,8 @@ Row = Mapping[str, object]
 # The columns of a table of datasets or methods, whose rows ``summary_row`` makes.
 SUMMARY_COLUMNS = {
     "faces": "d",
+    "no fit": "d",
+    "unmeasured": "d",
     "mean": ".4f",
     "± 95 %": ".4f",
     "median": ".4f",
@@ -22,10 +24,11 @@ SUMMARY_COLUMNS = {
 
 
 def summary_row(errors: np.ndarray) -> dict[str, object]:
-    """The row of ``SUMMARY_COLUMNS`` for errors (N,)."""
+    """The row of ``SUMMARY_COLUMNS`` for errors (N,): the mean is over fitted faces, the last three count failures."""
     summary = summarise(errors)
-    values = (summary.faces, summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
-    return dict(zip(SUMMARY_COLUMNS, values, strict=True))
+    counts = (summary.faces, summary.failed, summary.unmeasured)
+    values = (summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
+    return dict(zip(SUMMARY_COLUMNS, counts + values, strict=True))
 
 
 def text_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,20 +19,17 @@ from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.train import Spread
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.placements import Placement
-from jaxfit.descriptors.sift import Sift
+from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.exceptions import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
-from jaxfit.shapes.points import PointSpace
+from jaxfit.shapes import SPACES
 from jaxfit.shapes.schemes import scheme_named
 from jaxfit.shapes.space import Start
 
 FORMAT = 1
 SUFFIX = ".safetensors"
 
-# What files call the classes that a model is made of; a new shape space or descriptor is a line here.
-_SPACES: dict[str, type] = {"points": PointSpace}
-_DESCRIPTORS: dict[str, type] = {"sift": Sift}
 _KEY = "jaxfit"
 # What parsing may raise whatever the bytes.
 _DAMAGE = (
@@ -68,9 +66,9 @@ def save(model: Model, path: str | Path) -> None:
     }
     header = {
         "format": FORMAT,
-        "space": _name_of(_SPACES, cascade.space),
+        "space": _name_of(SPACES, cascade.space),
         "descriptor": {
-            "kind": _name_of(_DESCRIPTORS, cascade.descriptor),
+            "kind": _name_of(DESCRIPTORS, cascade.descriptor),
             **vars(cascade.descriptor),
         },
         "frame": dataclasses.asdict(cascade.frame),
@@ -78,8 +76,8 @@ def save(model: Model, path: str | Path) -> None:
         "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
         "training": model.training,
     }
-    if not np.isfinite(tensors["weights"]).all():
-        raise InputError("the weights do not fit into float16; train with a stronger ridge")
+    if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
+        raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
     # One metadata entry only: the format does not fix the order of several, and equal models must be equal files.
     data = pack_tensors(tensors, {_KEY: json.dumps(header, sort_keys=True)})
     with atomic_write(path) as file:
@@ -140,7 +138,7 @@ def _parse(data: bytes) -> Model:
 
 
 def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
-    space_class = _SPACES[header["space"]]
+    space_class = SPACES[header["space"]]
     space = space_class(
         **{
             field.name: jnp.asarray(tensors[f"space.{field.name}"], jnp.float32)
@@ -148,7 +146,7 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         }
     )
     options = dict(header["descriptor"])
-    descriptor = _DESCRIPTORS[options.pop("kind")](**options)
+    descriptor = DESCRIPTORS[options.pop("kind")](**options)
     count = scheme_named(header["scheme"]).count
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
     expected = {"weights": (steps, features, params), "biases": (steps, params), "windows": (steps,)}
@@ -198,5 +196,5 @@ def _finite(value: float) -> float:
     return float(value)
 
 
-def _name_of(names: dict[str, type], thing: object) -> str:
+def _name_of(names: Mapping[str, type], thing: object) -> str:
     return next(name for name, kind in names.items() if type(thing) is kind)

@@ -46,7 +46,11 @@ class PointSpace:
         return self.encode(start.scale * self.mean @ rotation + start.centre)
 
     def difference(self, target: Params, params: Params) -> Float[Array, "params"]:
-        """Displacements in units of the current size."""
+        """Displacements in units of the current size.
+
+        The thesis regresses pixels; in units of the size, one regressor serves starts of all sizes, whose windows
+        grow with them.
+        """
         return (target - params) / self.scale(params)
 
     def advance(self, params: Params, step: Float[Array, "params"]) -> Params:

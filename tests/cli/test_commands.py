@@ -144,9 +144,15 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(drawn: Path, model: Path
         "expected the columns": ["evaluate", str(model), "--data", data, "--boxes", str(bad_boxes), "--out", out],
         "damaged": ["evaluate", str(damaged), "--data", data, "--out", out],
         "no model 'nothing'": ["evaluate", "nothing", "--data", data, "--out", out],
-        "outer eye corners": ["evaluate", str(model), "--data", data, "--out", out],
+        "has no normaliser 'outer'": ["evaluate", str(model), "--data", data, "--out", out],
         "knows boxes of the kinds square": ["fit", str(drawn), "--model", str(model), "--box-kind", "x", "--out", out],
-        ".safetensors in a folder that exists": ["train", "--data", data, "--out", str(tmp_path / "model.npz")],
+        ".safetensors in a folder that can be written to": [
+            "train",
+            "--data",
+            data,
+            "--out",
+            str(tmp_path / "model.npz"),
+        ],
         "augmentations >= 1": ["train", "--data", data, "--out", f"{out}.safetensors", *TRAIN, "--augmentations", "0"],
         "pts": ["train", "--data", f"pts:{empty}", "--out", f"{out}.safetensors"],
     }
