@@ -44,6 +44,8 @@ class Options:
         spread: factor on the measured spread of the starts. They are drawn around crops in which true faces scatter
             too, so that the starts of training are wider than those of fitting: better than narrower.
         mirror: train on mirrored pictures too.
+        haar: run OpenCV's Haar detectors on the training pictures to learn how faces lie in their boxes, which takes
+            some minutes; without, the model knows only boxes around the landmarks.
         seed: of boxes and starts.
         descriptor: what is seen at a landmark.
         frame: size of the crops.
@@ -55,6 +57,7 @@ class Options:
     ridge: float = 1.0
     spread: float = 1.0
     mirror: bool = True
+    haar: bool = True
     seed: int = 0
     descriptor: Descriptor = field(default_factory=Sift)
     frame: Frame = field(default_factory=Frame)
@@ -136,7 +139,7 @@ def train(
     placement = measure_placement(jittered, landmarks, mean, options.frame.face)
 
     crops = Crops.empty(len(complete), options.frame)
-    detected = _Detected(every=max(1, len(complete) // _DETECTED_FACES))
+    detected, every = _Detected(), max(1, len(complete) // _DETECTED_FACES)
     usable = []
     for number, face in enumerate(complete):
         progress("reading pictures", number, len(complete))
@@ -147,7 +150,8 @@ def train(
             continue
         usable.append(number)
         cut(grey, *placement.face_in(squares[number]), crops, number)
-        detected.look(number, grey, squares[number])
+        if options.haar and number % every == 0:
+            detected.look(number, grey, squares[number])
     progress("reading pictures", len(complete), len(complete))
     if len(usable) < 2:
         raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
@@ -189,13 +193,12 @@ def _usable(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecor
 class _Detected:
     """Boxes that detectors draw around some of the training faces."""
 
-    def __init__(self, every: int) -> None:
-        self._every = every
+    def __init__(self) -> None:
         self._found: dict[str, list[tuple[int, np.ndarray]]] = {}
 
     def look(self, number: int, grey: np.ndarray, square: np.ndarray) -> None:
-        """Detect face ``number`` if it is its turn, and keep the box that fits its bounding square."""
-        if number % self._every == 0 and (match := best_match(detect_faces(grey), square)):
+        """Detect face ``number``, and keep the box that fits its bounding square, if there is one."""
+        if match := best_match(detect_faces(grey), square):
             self._found.setdefault(match.kind, []).append((number, match.box))
 
     def placements(self, landmarks: np.ndarray, mean: np.ndarray, face: float) -> dict[str, Placement]:
@@ -228,5 +231,6 @@ def _scaled(spread: Spread, factor: float) -> Spread:
 
 def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
-    made = {key: value for key, value in asdict(options).items() if key not in ("descriptor", "frame")}
+    told_elsewhere = ("descriptor", "frame", "haar")
+    made = {key: value for key, value in asdict(options).items() if key not in told_elsewhere}
     return {"jaxfit": __version__, "method": method, "faces": faces, **made, "windows": list(options.windows)}

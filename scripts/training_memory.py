@@ -30,7 +30,7 @@ def main() -> None:
 def measure(arguments: argparse.Namespace, augmentations: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "jaxfit.cli.main", "train", "--data", *arguments.data]
-        command += ["--windows", *arguments.windows, "--augmentations", str(augmentations)]
+        command += ["--windows", *arguments.windows, "--augmentations", str(augmentations), "--no-haar"]
         command += ["--out", str(Path(folder) / "model.safetensors")]
         begin = time.perf_counter()
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -59,6 +59,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--ridge", type=float, default=_DEFAULT.ridge, help="ridge strength; 0 is least squares")
     command.add_argument("--spread", type=float, default=_DEFAULT.spread, help="factor on the spread of the starts")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
+    command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument("--orientation", choices=("upright", "principal"), default=Sift().orientation)
     command.add_argument("--normalisation", choices=("cell", "vector"), default=Sift().normalisation)
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
@@ -75,6 +76,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme) -> Options:
         ridge=arguments.ridge,
         spread=arguments.spread,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
+        haar=not arguments.no_haar,
         seed=arguments.seed,
         descriptor=Sift(arguments.orientation, arguments.normalisation),
         frame=Frame(arguments.crop, arguments.face),

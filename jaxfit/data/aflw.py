@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.data.records import Dataset, FaceRecord, check_pictures
 from jaxfit.exceptions import DatasetError
 from jaxfit.shapes.schemes import AFLW21
 
@@ -34,11 +34,11 @@ def read_aflw(folder: str | Path) -> Dataset:
     """The faces of AFLW: ``aflw.sqlite`` in ``folder`` or ``folder/data``, the pictures in ``flickr`` beside it.
 
     Landmarks are the picture's pixels, taken as 0-based; a point without a row is not present. The box is ``FaceRect``,
-    the pose ``FacePose`` in degrees and in our signs. Faces of one picture share a subject. Faces without a picture or
-    without any landmark become problems.
+    the pose ``FacePose`` in degrees and in our signs. Faces of one picture share a subject. Faces of no named
+    picture or without any landmark become problems.
 
     Raises:
-        DatasetError: the database is missing, damaged or lacks a table, or no face can be used.
+        DatasetError: the database is missing, damaged or lacks a table, no face can be used, or no picture exists.
     """
     file = _database(Path(folder))
     with _opened(file) as database:
@@ -52,7 +52,8 @@ def read_aflw(folder: str | Path) -> Dataset:
             problems.append(str(error))
     if not faces:
         told = f"first problem: {problems[0]}" if problems else "it lists no faces"
-        raise DatasetError(f"{file}: expected faces with landmarks and pictures in {file.parent / 'flickr'}; {told}")
+        raise DatasetError(f"{file}: expected faces with landmarks; {told}")
+    check_pictures(file, faces)
     return Dataset(spec=f"aflw:{folder}", scheme=AFLW21, faces=tuple(faces), problems=tuple(problems))
 
 
@@ -85,12 +86,10 @@ def _points(database: sqlite3.Connection) -> dict[int, np.ndarray]:
 
 
 def _record(flickr: Path, face: int, picture: str | None, numbers: list, landmarks: np.ndarray | None) -> FaceRecord:
-    if picture is None:
+    if not picture:
         raise DatasetError(f"AFLW face {face}: the database names no picture for it")
     if landmarks is None or not np.isfinite(landmarks).all(1).any():
         raise DatasetError(f"AFLW face {face} in {picture}: no landmarks")
-    if not (flickr / picture).is_file():
-        raise DatasetError(f"AFLW face {face}: no picture {picture} in {flickr}")
     present = np.isfinite(landmarks).all(1)
     box, pose = _numbers(numbers[:4]), np.degrees(_SIGNS * _numbers(numbers[4:]))
     return FaceRecord(

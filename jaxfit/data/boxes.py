@@ -8,6 +8,7 @@ import numpy as np
 from jaxfit.exceptions import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
+_SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
 
 
 def bounding_square(landmarks: np.ndarray) -> np.ndarray:
@@ -49,8 +50,10 @@ def box_problem(box: np.ndarray, image_shape: tuple[int, ...]) -> str | None:
     x, y, box_width, box_height = box
     if not np.isfinite(box).all():
         return "the face box has a coordinate that is not a finite number"
-    if box_width <= 0 or box_height <= 0:
+    if min(box_width, box_height) < _SMALLEST:
         return f"the face box has no area: width {box_width:g}, height {box_height:g}"
+    if max(box_width, box_height) > _LARGEST:
+        return f"the face box is over {_LARGEST:g} pixels large: width {box_width:g}, height {box_height:g}"
     if x >= width or y >= height or x + box_width <= 0 or y + box_height <= 0:
         return f"the face box lies outside the {width} x {height} picture: x {x:g}, y {y:g}"
     return None
@@ -62,7 +65,7 @@ def read_boxes(path: str | Path) -> dict[str, list[np.ndarray]]:
     Columns may come in any order and beside others; of ``image`` only the file name counts.
 
     Raises:
-        InputError: the file is missing, not CSV, lacks a column, or has a cell that is not a number.
+        InputError: the file is missing, not CSV, lacks a column, or has a cell that is not a finite number.
     """
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
@@ -78,14 +81,17 @@ def read_boxes(path: str | Path) -> dict[str, list[np.ndarray]]:
 def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[np.ndarray]]:
     boxes: dict[str, list[np.ndarray]] = {}
     for row in reader:
-        name = Path(row["image"].strip()).name
+        # A short row has None in its last cells.
+        name = Path((row["image"] or "").strip()).name
         try:
             box = np.array([float(row[column]) for column in _COLUMNS[1:]])
-        # TypeError: a short row has None in its last cells.
         except (ValueError, TypeError):
+            box = np.full(4, np.nan)
+        if not np.isfinite(box).all():
             cells = ", ".join(str(row[column]) for column in _COLUMNS[1:])
-            message = f"{path}, line {reader.line_num}: expected numbers x, y, width, height; got {cells}"
-            raise InputError(message) from None
+            raise InputError(
+                f"{path}, line {reader.line_num}: expected finite numbers x, y, width, height; got {cells}"
+            )
         if not name:
             raise InputError(f"{path}, line {reader.line_num}: expected the picture's file name; got none")
         boxes.setdefault(name, []).append(box)

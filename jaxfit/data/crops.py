@@ -15,6 +15,7 @@ from jaxfit.image.frame import Frame
 
 # Samples per crop pixel and axis when shrinking: enough against aliasing, and it bounds the work on huge pictures.
 _MOST_SAMPLES = 8
+_LONGEST = 32_000  # pixels; OpenCV cannot warp pictures with sides from 32,767, such as panoramas
 
 
 class Crop(NamedTuple):
@@ -92,14 +93,14 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
         raise InputError(f"expected a finite centre and a positive face side; got {centre} and {face_side}")
     scale = float(face_side) / frame.face
     offset = np.asarray(centre, np.float64) - scale * frame.middle
-    part, corner = _around(grey, offset, scale, frame.crop)
+    part, corner, stride = _around(grey, offset, scale, frame.crop)
     # When shrinking, each crop pixel is the mean of n × n bilinear samples spread evenly over its area.
     samples = min(max(math.ceil(scale), 1), _MOST_SAMPLES)
     step = scale / samples
-    start = offset - corner + (step - scale) / 2
+    start = (offset - corner + (step - scale) / 2) / stride
     dense = cv2.warpAffine(
         part,
-        np.array([[step, 0, start[0]], [0, step, start[1]]]),
+        np.array([[step / stride, 0, start[0]], [0, step / stride, start[1]]]),
         (frame.crop * samples, frame.crop * samples),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
@@ -118,12 +119,13 @@ def to_crop(points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray) -
     return (points - offset) / scale
 
 
-def _around(grey: np.ndarray, offset: np.ndarray, scale: float, crop: int) -> tuple[np.ndarray, np.ndarray]:
+def _around(grey: np.ndarray, offset: np.ndarray, scale: float, crop: int) -> tuple[np.ndarray, np.ndarray, int]:
     """The part of the picture under the crop, at least a pixel of it, and the (2,) point of the part's first pixel.
 
-    OpenCV cannot warp pictures with sides over 32,767 pixels, such as panoramas.
+    Of a part too long for OpenCV only every n-th row and column is taken; n, mostly 1, comes last.
     """
     last = np.array([grey.shape[1] - 1, grey.shape[0] - 1])
     low = np.clip(np.floor(offset - scale), 0, last).astype(int)
     high = np.clip(np.ceil(offset + scale * crop) + 1, 0, last).astype(int)
-    return grey[low[1] : high[1] + 1, low[0] : high[0] + 1], low
+    stride = math.ceil((high - low + 1).max() / _LONGEST)
+    return grey[low[1] : high[1] + 1 : stride, low[0] : high[0] + 1 : stride], low, stride

@@ -30,8 +30,8 @@ def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
     """
     try:
         data = Path(path).read_bytes()
-    except OSError as error:
-        raise ImageError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
+        raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if complaint := _complaint(data):
         raise ImageError(f"{path}: {complaint}")
     flags = cv2.IMREAD_COLOR if exif else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
@@ -50,12 +50,17 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
 
     Raises:
         InputError: no format has this suffix, or the folder is missing.
+        ImageError: the picture is too large for the format.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise InputError(f"cannot write {path}: expected a name ending in one of {' '.join(PICTURE_SUFFIXES)}")
     stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    _, encoded = cv2.imencode(suffix, stored)
+    with _quiet():
+        done, encoded = cv2.imencode(suffix, stored)
+    if not done:
+        height, width = rgb.shape[:2]
+        raise ImageError(f"cannot write {path}: {width} x {height} pixels are too large for {suffix}; try .tif")
     with atomic_write(path) as file:
         file.write(encoded.tobytes())
 
@@ -115,7 +120,7 @@ def _pictures_in(folder: Path) -> list[Path]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Damaged files are reported once, with the file's name; OpenCV would print its own account."""
+    """Failures are reported once, with the file's name; OpenCV would print its own account."""
     log = cv2.utils.logging
     level = log.getLogLevel()
     log.setLogLevel(log.LOG_LEVEL_SILENT)

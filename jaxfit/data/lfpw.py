@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.data.records import Dataset, FaceRecord, check_pictures
 from jaxfit.exceptions import DatasetError
 from jaxfit.shapes.schemes import LFPW29, LFPW29_NAMES
 
@@ -22,6 +22,12 @@ class _Row:
     line: int
     cells: dict[str, str]
 
+    @property
+    def name(self) -> str:
+        """The picture's path relative to the file's folder, without suffix; empty if the row names no picture."""
+        image = Path(self.cells["imgurl"] or "")  # a short row has None in its last cells
+        return image.with_suffix("").as_posix() if image.name else ""
+
 
 def read_lfpw(file: str | Path) -> Dataset:
     """The faces of an LFPW annotation file; ``imgurl`` is the picture's path relative to the file's folder.
@@ -31,20 +37,21 @@ def read_lfpw(file: str | Path) -> Dataset:
     out of the crop. Rows that cannot be used become problems.
 
     Raises:
-        DatasetError: the file is missing, lacks columns, or no row can be used.
+        DatasetError: the file is missing, lacks columns, no row can be used, or no picture exists.
     """
     file = Path(file)
     chosen, problems = _choose(_rows(file))
-    repeated = Counter(row.cells["imgurl"] for row in chosen)
+    repeated = Counter(row.name for row in chosen)
     faces = []
     for row in chosen:
         try:
-            faces.append(_record(row, file.parent, several=repeated[row.cells["imgurl"]] > 1))
+            faces.append(_record(row, file.parent, several=repeated[row.name] > 1))
         except DatasetError as error:
             problems.append(str(error))
     if not faces:
         told = f"first problem: {problems[0]}" if problems else "it has no rows"
-        raise DatasetError(f"{file}: expected one face a row with the picture beside this file; {told}")
+        raise DatasetError(f"{file}: expected one face a row; {told}")
+    check_pictures(file, faces)
     return Dataset(spec=f"lfpw:{file}", scheme=LFPW29, faces=tuple(faces), problems=tuple(problems))
 
 
@@ -76,7 +83,8 @@ def _choose(rows: list[_Row]) -> tuple[list[_Row], list[str]]:
 
 
 def _record(row: _Row, folder: Path, several: bool) -> FaceRecord:
-    image = row.cells["imgurl"]
+    if not row.name:
+        raise DatasetError(f"{row.where}: the row names no picture")
     try:
         x, y = (np.array([float(row.cells[f"{name}_{axis}"]) for name in LFPW29_NAMES]) for axis in "xy")
         states = [_STATES.index(row.cells[f"{name}_t"].strip()) for name in LFPW29_NAMES]
@@ -86,15 +94,13 @@ def _record(row: _Row, folder: Path, several: bool) -> FaceRecord:
     landmarks = np.stack([x, y], axis=1)
     if not np.isfinite(landmarks).all():
         raise DatasetError(f"{row.where}: expected finite coordinates")
-    if not (folder / image).is_file():
-        raise DatasetError(f"{row.where}: no picture {image} in {folder}")
     return FaceRecord(
-        image=folder / image,
+        image=folder / row.cells["imgurl"],
         landmarks=landmarks,
         present=np.ones(len(landmarks), bool),
         visible=np.array(states) == 0,
         box=None,
         pose=None,
-        subject=image,
-        face=f"{Path(image).stem}-{row.line}" if several else Path(image).stem,
+        subject=row.name,
+        face=f"{row.name}-{row.line}" if several else row.name,
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxfit.data.images import PICTURE_SUFFIXES
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.data.records import Dataset, FaceRecord, check_pictures
 from jaxfit.exceptions import DatasetError, InputError
 from jaxfit.shapes.schemes import scheme_of_count
 
@@ -64,7 +64,7 @@ def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
 
 
 def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
-    """Every ``.pts`` directly in ``folder`` that has a picture of the same stem beside it, sorted by name.
+    """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
 
     All faces have the number of points that most files have; files that cannot be used become problems. A point at
     (0, 0) is a point: the format has no mark for missing ones.
@@ -74,7 +74,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         base: what the files call the first pixel: 1 as iBUG does, or 0.
 
     Raises:
-        DatasetError: no such folder, or nothing in it can be used.
+        DatasetError: no such folder, nothing in it can be used, or no ``.pts`` has a picture.
         InputError: ``base`` is neither 0 nor 1.
     """
     _check_base(base)
@@ -84,7 +84,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     files = sorted(path for path in folder.iterdir() if path.is_file())
     # Reversed, so that of several pictures of one stem the first by name stays.
     pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in PICTURE_SUFFIXES}
-    found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], pictures, base)
+    found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
     if not found:
         told = f"; first problem: {problems[0]}" if problems else ""
         expected = "expected .pts files, each with a picture of the same name beside it"
@@ -96,20 +96,18 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if len(landmarks) != count
     ]
     faces = tuple(
-        _record(pictures[path.stem], landmarks) for path, landmarks in found.items() if len(landmarks) == count
+        _record(pictures.get(path.stem, path.with_suffix(".jpg")), landmarks)
+        for path, landmarks in found.items()
+        if len(landmarks) == count
     )
+    check_pictures(folder, faces)
     spec = f"{'pts' if base == 1 else 'pts0'}:{folder}"
     return Dataset(spec=spec, scheme=scheme_of_count(count), faces=faces, problems=tuple(problems))
 
 
-def _read_all(
-    annotations: list[Path], pictures: dict[str, Path], base: int
-) -> tuple[dict[Path, np.ndarray], list[str]]:
+def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray], list[str]]:
     found, problems = {}, []
     for path in annotations:
-        if path.stem not in pictures:
-            problems.append(f"{path}: no picture {path.stem}.jpg (or .png, …) beside it")
-            continue
         try:
             found[path] = read_pts(path, base)
         except DatasetError as error:

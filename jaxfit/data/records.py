@@ -1,10 +1,13 @@
 """The one record type of all datasets: a face in a picture file, with what is known about it."""
 
+import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from jaxfit.exceptions import DatasetError
 from jaxfit.shapes.schemes import Scheme
 
 
@@ -13,7 +16,7 @@ class FaceRecord:
     """One labelled face.
 
     Attributes:
-        image: path of the picture.
+        image: path of the picture; it need not exist, so that a labelled face without its picture still counts.
         landmarks: (L, 2) float64, x right, y down, pixels, pixel centres at integers; NaN where unknown.
         present: (L,) bool, False where a landmark has no annotation.
         visible: (L,) bool, False where a landmark is hidden; all of ``present`` if the source does not say.
@@ -46,10 +49,23 @@ class Dataset:
         spec: how the command line names it, ``FORMAT:PATH``.
         scheme: what the landmarks mean.
         faces: the records, in a fixed order.
-        problems: what could not be read, one sentence each: such pictures are reported, never silently dropped.
+        problems: what could not be read, one sentence each: such labels are reported, never silently dropped.
     """
 
     spec: str
     scheme: Scheme
     faces: tuple[FaceRecord, ...]
     problems: tuple[str, ...] = ()
+
+
+def check_pictures(source: Path, faces: Sequence[FaceRecord]) -> None:
+    """Refuse a dataset that came without its pictures.
+
+    Raises:
+        DatasetError: ``faces``, read from ``source``, are some, and the picture of none of them exists.
+    """
+    if faces and not any(os.path.isfile(face.image) for face in faces):
+        raise DatasetError(
+            f"{source}: expected pictures of the labelled faces, found none of {len(faces)}, such as "
+            f"{faces[0].image}; check the path"
+        )
