@@ -53,7 +53,7 @@ def box_problem(box: np.ndarray, image_shape: tuple[int, ...]) -> str | None:
     if min(box_width, box_height) < _SMALLEST:
         return f"the face box has no area: width {box_width:g}, height {box_height:g}"
     if max(box_width, box_height) > _LARGEST:
-        return f"the face box is over {_LARGEST:g} pixels large: width {box_width:g}, height {box_height:g}"
+        return f"the face box is over {_LARGEST:,.0f} pixels large: width {box_width:g}, height {box_height:g}"
     if x >= width or y >= height or x + box_width <= 0 or y + box_height <= 0:
         return f"the face box lies outside the {width} x {height} picture: x {x:g}, y {y:g}"
     return None

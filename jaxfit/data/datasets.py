@@ -11,7 +11,7 @@ from jaxfit.data.pts import read_pts_folder
 from jaxfit.data.records import Dataset
 from jaxfit.exceptions import InputError
 
-# A reader gets the path and returns the faces that can be used, at least one, or raises DatasetError.
+# A reader gets the path and returns the labelled faces, at least one of them with its picture, or raises DatasetError.
 FORMATS: dict[str, Callable[[Path], Dataset]] = {
     "pts": read_pts_folder,
     "pts0": partial(read_pts_folder, base=0),

@@ -60,7 +60,7 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
         done, encoded = cv2.imencode(suffix, stored)
     if not done:
         height, width = rgb.shape[:2]
-        raise ImageError(f"cannot write {path}: {width} x {height} pixels are too large for {suffix}; try .tif")
+        raise ImageError(f"cannot write {path}: a picture of {width} x {height} pixels is too large for {suffix}")
     with atomic_write(path) as file:
         file.write(encoded.tobytes())
 

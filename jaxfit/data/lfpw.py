@@ -69,13 +69,13 @@ def _rows(file: Path) -> list[_Row]:
 
 
 def _choose(rows: list[_Row]) -> tuple[list[_Row], list[str]]:
-    """Rows to use, in the file's order: the averages, and rows that are their picture's only one."""
+    """Rows to use, in the file's order: the averages, and rows that are their picture's only one or name none."""
     total = Counter(row.cells["imgurl"] for row in rows)
     averaged = {row.cells["imgurl"] for row in rows if row.cells["worker"] == "average"}
     chosen, problems = [], []
     for row in rows:
         image = row.cells["imgurl"]
-        if row.cells["worker"] == "average" or total[image] == 1:
+        if row.cells["worker"] == "average" or total[image] == 1 or not row.name:
             chosen.append(row)
         elif image not in averaged:
             problems.append(f"{row.where}: {image} has several workers but no row of the worker 'average'")

@@ -94,16 +94,26 @@ def test_box_and_pose_may_be_missing(aflw):
     assert face.box is None
 
 
-def test_faces_that_cannot_be_used_become_problems(aflw):
+def test_a_face_without_its_picture_stays_a_face(aflw):
     path, folder, database = aflw
     add_picture(database, folder, "gone", on_disk=False)
+    add_face(database, 3, "gone")
+    with pytest.raises(DatasetError, match=r"found none of 1, such as .*gone"):
+        read_aflw(path)
+    add_face(database, 1)
+    dataset = read_aflw(path)
+    assert [face.image for face in dataset.faces] == [folder / "flickr/0/p1", folder / "flickr/0/gone"]
+    assert dataset.problems == ()
+
+
+def test_faces_that_cannot_be_used_become_problems(aflw):
+    path, _, database = aflw
     add_face(database, 1)
     add_face(database, 2, features=[])
-    add_face(database, 3, "gone")
     add_face(database, 4, "unknown")
     dataset = read_aflw(path)
     assert [face.face for face in dataset.faces] == ["1"]
-    told = ("face 2 in 0/p1: no landmarks", "face 3: no picture 0/gone", "face 4: the database names no picture")
+    told = ("face 2 in 0/p1: no landmarks", "face 4: the database names no picture")
     assert len(dataset.problems) == len(told)
     assert all(part in problem for part, problem in zip(told, dataset.problems, strict=True))
 

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxfit.data.boxes import box_centre, box_problem
 from jaxfit.data.crops import Crops, cut, cut_face, to_crop, to_image
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -92,6 +93,29 @@ def test_only_the_part_around_the_face_matters():
     image[:, 35_000:35_200] = 200
     crop = cut_face(image, np.array([35_100.0, 50.0]), FRAME.face, FRAME)
     assert (crop.pixels == 200).all()
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("length", [32_000, 32_001, 32_767, 70_000])
+def test_faces_larger_than_opencv_warps(length, flip):
+    """A long ramp arrives where the map says, as one of a handier size does."""
+    ramp = np.linspace(0, 255, length)
+    image = np.repeat(np.round(ramp).astype(np.uint8)[None], 3, 0)
+    centre = np.array([length / 2, 1.0])
+    crop = cut_face(image.T if flip else image, centre[::-1] if flip else centre, 0.8 * length, FRAME)
+    expected = np.interp(to_image(crop_points(), crop.scale, crop.offset)[..., int(flip)], np.arange(length), ramp)
+    np.testing.assert_allclose(crop.pixels, expected, atol=1.01 + 255 / 64 / 8)
+
+
+@given(
+    st.tuples(*[st.floats(-2e6, 2e6) | st.floats(allow_nan=False)] * 2, *[st.floats(1e-3, 1e6) | st.floats()] * 2),
+    st.sampled_from([(20, 30), (1, 40_000), (40_000, 2)]),
+)
+def test_no_box_without_a_problem_is_refused(box, shape):
+    box = np.array(box)
+    if box_problem(box, shape) is None:
+        crop = cut_face(np.full(shape, 77, np.uint8), box_centre(box), float(box[2:].mean()), FRAME)
+        assert (crop.pixels == 77).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (50, 1)])

@@ -126,6 +126,8 @@ def test_files_that_are_no_pictures(tmp_path, data, reason):
 def test_files_that_cannot_be_opened(tmp_path):
     with pytest.raises(ImageError, match=r"none\.jpg.*No such file"):
         read_image(tmp_path / "none.jpg")
+    with pytest.raises(ImageError, match="null"):
+        read_image(tmp_path / "a\0.jpg")
     with pytest.raises(ImageError, match="directory"):
         read_image(tmp_path)
 
@@ -135,6 +137,14 @@ def test_writing_needs_a_known_ending(tmp_path, rgb):
         write_image(tmp_path / "a.xyz", rgb)
     write_image(tmp_path / "grey.PNG", rgb[..., 0])
     np.testing.assert_array_equal(read_image(tmp_path / "grey.PNG")[..., 1], rgb[..., 0])
+
+
+@pytest.mark.parametrize(("suffix", "shape"), [(".jpg", (1, 65_501, 3)), (".webp", (20_000, 1))])
+def test_pictures_too_large_for_their_format_are_told(tmp_path, suffix, shape, capfd):
+    with pytest.raises(ImageError, match=rf"a\{suffix}: .*{shape[1]} x {shape[0]} pixels is too large for \{suffix}"):
+        write_image(tmp_path / f"a{suffix}", np.zeros(shape, np.uint8))
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr().err == ""
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 2**32 - 1))

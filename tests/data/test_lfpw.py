@@ -36,7 +36,7 @@ def test_points_and_states(tmp_path):
     np.testing.assert_array_equal(face.visible, np.array(states) == 0)
     assert face.complete
     assert dataset.problems == ()
-    assert (face.image, face.face, face.subject) == (tmp_path / "a.jpg", "a", "a.jpg")
+    assert (face.image, face.face, face.subject) == (tmp_path / "a.jpg", "a", "a")
 
 
 def test_the_order_of_columns_does_not_matter(tmp_path):
@@ -67,8 +67,8 @@ def test_two_faces_of_one_picture_stay_apart_but_share_the_subject(tmp_path):
         (row("b.jpg", chin_x=""), "line 3: expected numbers"),
         (row("b.jpg", chin_y="nan"), "line 3: expected finite"),
         (row("b.jpg", chin_t="4"), "line 3: expected numbers"),
-        (row("missing.jpg"), "line 3: no picture missing.jpg"),
-        (row(""), "line 3: no picture"),
+        (row(""), "line 3: the row names no picture"),
+        (row("."), "line 3: the row names no picture"),
     ],
 )
 def test_rows_that_cannot_be_used_become_problems(tmp_path, bad, reason):
@@ -76,6 +76,34 @@ def test_rows_that_cannot_be_used_become_problems(tmp_path, bad, reason):
     assert [face.face for face in dataset.faces] == ["a"]
     (problem,) = dataset.problems
     assert reason in problem
+
+
+def test_a_face_without_its_picture_stays_a_face(tmp_path):
+    dataset = read_lfpw(write(tmp_path, [row(), row("x/missing.jpg")]))
+    assert [face.image for face in dataset.faces] == [tmp_path / "a.jpg", tmp_path / "x/missing.jpg"]
+    assert dataset.problems == ()
+    with pytest.raises(DatasetError, match=r"found none of 1, such as .*missing\.jpg"):
+        read_lfpw(write(tmp_path, [row("missing.jpg")]))
+
+
+def test_faces_of_one_file_name_in_two_folders_stay_apart(tmp_path):
+    rows = [row(), row("x/1.jpg"), row("y/1.jpg"), row("y/1.png")]
+    faces = read_lfpw(write(tmp_path, rows)).faces
+    assert [face.face for face in faces] == ["a", "x/1", "y/1-4", "y/1-5"]
+    assert [face.subject for face in faces] == ["a", "x/1", "y/1", "y/1"]
+
+
+def test_short_rows_without_a_picture_become_problems(tmp_path):
+    columns = sorted(row(), key="imgurl".__eq__)
+    file = write(tmp_path, [row()], columns)
+    with file.open("a") as text:
+        text.write("1\t2\n3\n")
+    dataset = read_lfpw(file)
+    assert [face.face for face in dataset.faces] == ["a"]
+    assert [problem.split(", ")[1] for problem in dataset.problems] == [
+        "line 3: the row names no picture",
+        "line 4: the row names no picture",
+    ]
 
 
 def test_short_rows_and_workers_without_average_become_problems(tmp_path):

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from jaxfit.data.images import read_image
 from jaxfit.data.pts import read_pts, read_pts_folder, write_pts
-from jaxfit.exceptions import DatasetError, InputError
+from jaxfit.exceptions import DatasetError, ImageError, InputError
 
 POINTS = np.array([[0.0, 0.0], [10.5, -3.25], [1234.125, 7.0]])
 HEADER = "version: 1\nn_points: 2\n{\n1 2\n3 4.5\n}\n"
@@ -125,14 +126,23 @@ def test_files_that_cannot_be_used_become_problems(tmp_path):
     for stem in ("a", "b"):
         add_face(tmp_path, stem)
     add_face(tmp_path, "other-count", count=4)
-    add_face(tmp_path, "no-picture", picture="")
     add_face(tmp_path, "damaged")
     (tmp_path / "damaged.pts").write_text("not points")
     dataset = read_pts_folder(tmp_path)
     assert [face.face for face in dataset.faces] == ["a", "b"]
-    for stem in ("other-count", "no-picture", "damaged"):
+    for stem in ("other-count", "damaged"):
         assert sum(stem in problem for problem in dataset.problems) == 1
-    assert len(dataset.problems) == 3
+    assert len(dataset.problems) == 2
+
+
+def test_a_face_without_its_picture_stays_a_face(tmp_path):
+    add_face(tmp_path, "a")
+    add_face(tmp_path, "no.picture", picture="")
+    dataset = read_pts_folder(tmp_path)
+    assert [face.face for face in dataset.faces] == ["a", "no.picture"]
+    assert dataset.problems == ()
+    with pytest.raises(ImageError, match=r"no\.picture\.jpg: cannot be read \(No such file"):
+        read_image(dataset.faces[1].image)
 
 
 def test_folders_without_faces(tmp_path):
@@ -140,6 +150,9 @@ def test_folders_without_faces(tmp_path):
         read_pts_folder(tmp_path / "missing")
     with pytest.raises(DatasetError, match=r"expected \.pts files"):
         read_pts_folder(tmp_path)
+    (tmp_path / "damaged.pts").write_text("not points")
+    with pytest.raises(DatasetError, match=r"first problem: .*damaged"):
+        read_pts_folder(tmp_path)
     add_face(tmp_path, "lonely", picture="")
-    with pytest.raises(DatasetError, match=r"first problem: .*lonely"):
+    with pytest.raises(DatasetError, match=r"found none of 1, such as .*lonely\.jpg"):
         read_pts_folder(tmp_path)
