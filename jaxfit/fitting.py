@@ -58,6 +58,8 @@ def crop_faces(
     Raises:
         InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
     """
+    if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
+        raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
     boxes = _box_array(boxes, len(images))
     kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
     if len(kinds) != len(images):

@@ -74,6 +74,8 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
     empty = folder / "empty"
     empty.mkdir()
     boxes = made("boxes.csv", b"image,x,y,width\na.png,1,2,3\n")
+    good = made("good.csv", b"image,x,y,width,height\nface000.png,170,100,200,200\n")
+    nan = made("nan.csv", b"image,x,y,width,height\nface000.png,nan,100,200,200\n")
     words = made("words.csv", b"image,x,y,width,height\na.png,1,2,3,wide\n")
 
     bundled = Path(jaxfit.__file__).parent / "models" / "bundled" / "sdm68.safetensors"
@@ -106,7 +108,15 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
         "boxes: wrong shape": in_python([picture], [10, 10, 50, 50]),
         "boxes: a column is missing": evaluates("sdm68", f"pts:{labels}", "--boxes", str(boxes)),
         "boxes: not a number": evaluates("sdm68", f"pts:{labels}", "--boxes", str(words)),
-        "boxes: of an unknown kind": evaluates("sdm68", f"pts:{labels}", "--box-kind", "mine"),
+        "boxes: of an unknown kind": evaluates("sdm68", f"pts:{labels}", "--boxes", str(good), "--box-kind", "mine"),
+        "boxes: a kind, but no file": evaluates("sdm68", f"pts:{labels}", "--box-kind", "haar-frontal"),
+        "boxes: not finite": evaluates("sdm68", f"pts:{labels}", "--boxes", str(nan)),
+        "boxes: none for a labelled face": evaluates("sdm68", f"pts:{labels}", "--boxes", str(good)),
+        "seed: negative": _exits("evaluate", "sdm68", "--data", f"pts:{labels}", "--seed", "-1", "--out", "out"),
+        "out: a file, not a folder": lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(cut)),
+        "training: an option out of range": lambda: _said(
+            "train", "--data", f"pts:{labels}", "--variance", "2", "--out", str(folder / "m.safetensors")
+        ),
         "labels: wrong number of points in one file": evaluates("sdm68", f"pts:{few}"),
         "labels: a picture is missing": evaluates("sdm68", f"pts:{alone}"),
         "labels: another scheme than the model's": _other_scheme(folder, picture, points),
@@ -127,6 +137,18 @@ def _other_scheme(folder: Path, picture: np.ndarray, points: np.ndarray) -> Call
     write_image(labels / "face.png", picture)
     write_pts(labels / "face.pts", points[:21])
     return lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(folder / "out"))
+
+
+def _exits(*arguments: str) -> Callable[[], str]:
+    """What argparse says, which ends the program itself."""
+
+    def attempt() -> str:
+        err = io.StringIO()
+        with contextlib.redirect_stderr(err), contextlib.suppress(SystemExit):
+            command(arguments)
+        return err.getvalue().splitlines()[-1] + "\nexit code 2"
+
+    return attempt
 
 
 def _portrait(folder: Path) -> Path:

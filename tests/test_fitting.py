@@ -109,6 +109,8 @@ def test_bad_faces_do_not_stop_the_others(model, portrait, box, landmarks) -> No
 def test_wrong_arguments_are_refused(model, portrait, box) -> None:
     with pytest.raises(jaxfit.InputError, match=r"one box .* for each of 1 images"):
         jaxfit.fit(model, [portrait], box)
+    with pytest.raises(jaxfit.InputError, match="put it in a list"):
+        jaxfit.fit(model, portrait, [box])
     with pytest.raises(jaxfit.InputError, match="one for each of 1 images"):
         jaxfit.fit(model, [portrait], [box], kind=[KIND, KIND])
     with pytest.raises(jaxfit.InputError, match="knows boxes of the kinds"):

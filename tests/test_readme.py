@@ -99,3 +99,9 @@ def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_links() -> None:
     for target in re.findall(r"\]\(([^)#]+)\)", README):
         assert (ROOT / target).exists(), target
+
+
+def test_documents_are_finished() -> None:
+    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        left = re.findall(r"^[A-Z]+[0-9]*$|\b(?:MINUTES|SIZE) M?i", path.read_text(encoding="utf-8"), re.MULTILINE)
+        assert not left, f"{path.name}: {left}"

@@ -4,12 +4,15 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from jaxfit.data.boxes import read_boxes
 from jaxfit.data.datasets import FORMATS, read_dataset
 from jaxfit.data.records import Dataset
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
-from jaxfit.models.model import SQUARE
+from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import Scheme
 from jaxfit.training import METHODS, Options
 
@@ -42,6 +45,20 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     )
 
 
+def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[np.ndarray]] | None:
+    """The boxes that ``--boxes`` names, by picture; None without it.
+
+    Raises:
+        InputError: the file is wrong, the model does not know the kind of box, or there is a kind but no file.
+    """
+    if arguments.boxes is None:
+        if arguments.box_kind != SQUARE:
+            raise InputError(f"--box-kind {arguments.box_kind} says what drew the boxes of --boxes; give that file too")
+        return None
+    model.placement(arguments.box_kind)
+    return read_boxes(arguments.boxes)
+
+
 def add_training(command: argparse.ArgumentParser) -> None:
     """``--method`` and the options of training."""
     command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
@@ -60,8 +77,12 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--spread", type=float, default=_DEFAULT.spread, help="factor on the spread of the starts")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
-    command.add_argument("--orientation", choices=("upright", "principal"), default=Sift().orientation)
-    command.add_argument("--normalisation", choices=("cell", "vector"), default=Sift().normalisation)
+    command.add_argument(
+        "--orientation", choices=("upright", "principal"), default=Sift().orientation, help="of windows"
+    )
+    command.add_argument(
+        "--normalisation", choices=("cell", "vector"), default=Sift().normalisation, help="of descriptors"
+    )
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
     command.add_argument("--face", type=float, default=Frame().face, help="side of the face in them, in pixels")
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="the same seed gives the same model")

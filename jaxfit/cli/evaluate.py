@@ -8,16 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_boxes, add_datasets, out_folder, read_datasets, seed
+from jaxfit.cli.arguments import add_boxes, add_datasets, given_boxes, out_folder, read_datasets, seed
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.boxes import read_boxes
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.evaluating import Evaluation, evaluate, match_boxes, require_scheme, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
 from jaxfit.models.files import load
-from jaxfit.models.model import SQUARE
 
 _COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, "ms/face": ".1f"}
 _FACE_COLUMNS = ("dataset", "face", "subject", "image", "x", "y", "width", "height", "nmed", "problem")
@@ -51,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     datasets = read_datasets(options.data)
     for dataset in datasets:
         require_scheme(model, dataset.faces)
-    boxes = read_boxes(options.boxes) if options.boxes else None
+    boxes = given_boxes(options, model)
     folder = out_folder(options.out)
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
@@ -61,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
                 model,
                 dataset.faces,
                 starts,
-                kind=SQUARE if boxes is None else options.box_kind,
+                kind=options.box_kind,
                 normaliser=options.normaliser,
                 progress=bars,
             )

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_boxes, out_folder
+from jaxfit.cli.arguments import add_boxes, given_boxes, out_folder
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.boxes import read_boxes
 from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import find_images, read_image, write_image
 from jaxfit.data.outputs import write_csv
@@ -59,8 +58,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no face was fitted at all."""
     model = load(options.model)
-    boxes = read_boxes(options.boxes) if options.boxes else None
-    model.placement(options.box_kind)
+    boxes = given_boxes(options, model)
     pictures = find_images(options.pictures)
     folder = out_folder(options.out)
     for part in ("pts", "overlays"):
@@ -83,10 +81,15 @@ def run(options: argparse.Namespace) -> int:
         bars("fitting pictures", len(pictures), len(pictures))
     points = [f"{axis}{i}" for i in range(1, model.scheme.count + 1) for axis in "xy"]
     write_csv(folder / "landmarks.csv", ["image", "face", "box", "x", "y", "width", "height", *points], rows)
+    if unknown := sorted({str(row[2]) for row in rows} - model.placements.keys()):
+        problems.append(
+            f"{options.model} does not know how faces lie in {', '.join(unknown)} boxes and took them for squares "
+            "around the landmarks: do not trust these fits, give boxes with --boxes"
+        )
     if boxes is not None and (unused := boxes.keys() - {picture.name for picture in pictures}):
         problems.append(f"{options.boxes}: rows for {len(unused)} files that were not given, such as {min(unused)}")
     report_problems(problems)
-    print(f"{len(rows)} faces in {len(pictures)} pictures; landmarks from {options.model}")
+    print(f"pictures: {len(pictures)}, faces fitted: {len(rows)}, model: {options.model}")
     print(f"written: {folder / 'landmarks.csv'}, {folder / 'pts'}, {folder / 'overlays'}")
     return 0 if rows else 1
 

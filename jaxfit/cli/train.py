@@ -54,4 +54,6 @@ def run(options: argparse.Namespace) -> int:
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     print(f"boxes it knows: {', '.join(trained.model.placements)}")
+    if not options.no_haar and len(trained.model.placements) == 1:
+        print("the Haar detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0

@@ -145,7 +145,7 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(drawn: Path, model: Path
         "damaged": ["evaluate", str(damaged), "--data", data, "--out", out],
         "no model 'nothing'": ["evaluate", "nothing", "--data", data, "--out", out],
         "has no normaliser 'outer'": ["evaluate", str(model), "--data", data, "--out", out],
-        "knows boxes of the kinds square": ["fit", str(drawn), "--model", str(model), "--box-kind", "x", "--out", out],
+        "give that file too": ["fit", str(drawn), "--model", str(model), "--box-kind", "x", "--out", out],
         ".safetensors in a folder that can be written to": [
             "train",
             "--data",
