@@ -41,7 +41,7 @@ class Fits:
 
 
 def crop_faces(
-    model: Model, images: Sequence[np.ndarray], boxes: ArrayLike, kind: str | Sequence[str] = SQUARE
+    model: Model, images: Sequence[np.ndarray] | np.ndarray, boxes: ArrayLike, kind: str | Sequence[str] = SQUARE
 ) -> tuple[Crops, dict[int, str]]:
     """Cut the crops that the model's cascade works on.
 
@@ -98,7 +98,7 @@ def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:
 
 def fit(
     model: Model,
-    images: Sequence[np.ndarray],
+    images: Sequence[np.ndarray] | np.ndarray,
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
