@@ -169,7 +169,7 @@ def train_cascade(
         augmentations: starts drawn for each face.
         variance: share of variance that the PCA of the features keeps, in (0, 1].
         ridge: ridge strength, relative to the mean variance of a kept component.
-        seed: of the starts; the same seed on the same machine gives the same bits.
+        seed: of the starts; the same seed, machine and number of cores give the same bits.
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:

@@ -85,7 +85,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
     command.add_argument("--face", type=float, default=Frame().face, help="side of the face in them, in pixels")
-    command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="the same seed gives the same model")
+    command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
 
 
 def training_options(arguments: argparse.Namespace, scheme: Scheme) -> Options:
