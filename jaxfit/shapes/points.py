@@ -7,7 +7,8 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.shapes.space import Start
+from jaxfit.shapes.procrustes import align_similarity
+from jaxfit.shapes.space import Start, rotate
 from jaxfit.types import Landmarks, Params, Scalar
 
 
@@ -35,15 +36,21 @@ class PointSpace:
         """Root mean square distance of the points from their centroid, relative to the mean face's."""
         return _radius(self.landmarks(params)) / _radius(self.mean)
 
+    def rotation(self, params: Params) -> Scalar:
+        """That of the similarity which brings the mean face nearest to the points."""
+        return align_similarity(self.landmarks(params), self.mean).rotation
+
+    def turned(self, params: Params, angle: Scalar) -> Params:
+        """The points, turned."""
+        return self.encode(rotate(self.landmarks(params), angle))
+
     def encode(self, landmarks: Landmarks) -> Params:
         """The landmarks, as parameters."""
         return landmarks.reshape(-1)
 
     def place(self, start: Start) -> Params:
         """The mean face, rotated, scaled and moved to a start."""
-        cos, sin = jnp.cos(start.rotation), jnp.sin(start.rotation)
-        rotation = jnp.array([[cos, sin], [-sin, cos]])  # acts on row vectors
-        return self.encode(start.scale * self.mean @ rotation + start.centre)
+        return self.encode(rotate(start.scale * self.mean, start.rotation) + start.centre)
 
     def difference(self, target: Params, params: Params) -> Float[Array, "params"]:
         """Displacements in units of the current size.

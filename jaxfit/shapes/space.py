@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from jax import numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxfit.types import Landmarks, Params, Point, Scalar
@@ -19,6 +20,12 @@ class Start(NamedTuple):
     centre: Point
     scale: Scalar
     rotation: Scalar
+
+    def turned(self, pivot: Point, angle: Scalar) -> "Start":
+        """The same start in a picture that is turned about ``pivot``, by ``angle`` radians clockwise as seen."""
+        arm = self.centre - pivot
+        # No angle, no change: not even by rounding.
+        return Start(self.centre + (rotate(arm, angle) - arm), self.scale, self.rotation + angle)
 
 
 @runtime_checkable
@@ -38,6 +45,14 @@ class ShapeSpace(Protocol):
         """Size of the face relative to the canonical face; descriptor windows grow with it."""
         ...
 
+    def rotation(self, params: Params) -> Scalar:
+        """In-plane rotation of the face, radians, clockwise as seen; descriptor windows may turn with it."""
+        ...
+
+    def turned(self, params: Params, angle: Scalar) -> Params:
+        """The face turned about the crop's first pixel, by ``angle`` radians, clockwise as seen."""
+        ...
+
     def encode(self, landmarks: Landmarks) -> Params:
         """The best parameters for known landmarks: training targets."""
         ...
@@ -53,3 +68,10 @@ class ShapeSpace(Protocol):
     def advance(self, params: Params, step: Float[Array, "params"]) -> Params:
         """Apply a step."""
         ...
+
+
+def rotate(points: Float[Array, "*n 2"], angle: Scalar) -> Float[Array, "*n 2"]:
+    """Points turned about the origin by ``angle`` radians, clockwise as seen, ``y`` being down."""
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    x, y = jnp.moveaxis(points, -1, 0)
+    return jnp.stack([x * cos - y * sin, x * sin + y * cos], -1)
