@@ -1,15 +1,19 @@
-"""The formats of labelled faces by the names that the command line uses: ``FORMAT:PATH``."""
+"""The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from jaxfit.data.aflw import read_aflw
 from jaxfit.data.lfpw import read_lfpw
 from jaxfit.data.pts import read_pts_folder
-from jaxfit.data.records import Dataset
+from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
+from jaxfit.shapes.conversions import convert, sources
+from jaxfit.shapes.schemes import Scheme
 
 # A reader gets the path and returns the labelled faces, at least one of them with its picture, or raises DatasetError.
 FORMATS: dict[str, Callable[[Path], Dataset]] = {
@@ -31,3 +35,27 @@ def read_dataset(spec: str) -> Dataset:
     if name not in FORMATS or not path:
         raise InputError(f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}; got {spec!r}")
     return replace(FORMATS[name](Path(path)), spec=spec)
+
+
+def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:
+    """The dataset with its labels converted to ``scheme``; all else stays as it is.
+
+    A converted landmark is present, or visible, where all landmarks that it is made of are.
+
+    Raises:
+        InputError: labels of this kind cannot be converted to ``scheme``.
+    """
+    try:
+        made_of = [list(indices) for indices in sources(dataset.scheme, scheme)]
+    except InputError as error:
+        raise InputError(f"{dataset.spec}: {error}") from None
+
+    def converted(face: FaceRecord) -> FaceRecord:
+        return replace(
+            face,
+            landmarks=convert(face.landmarks, dataset.scheme, scheme),
+            present=np.array([face.present[indices].all() for indices in made_of]),
+            visible=np.array([face.visible[indices].all() for indices in made_of]),
+        )
+
+    return replace(dataset, scheme=scheme, faces=tuple(map(converted, dataset.faces)))

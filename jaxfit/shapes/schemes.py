@@ -1,8 +1,9 @@
-"""Landmark schemes: what the points of 21-, 29- and 68-point faces are, to mirror, normalise and draw them.
+"""Landmark schemes: what the points of 21-, 27-, 29- and 68-point faces are, to mirror, normalise and draw them.
 
 Indices are 0-based. "Left" and "right" are those of the picture, not of the subject.
 """
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,24 @@ def _mirror(count: int, pairs: list[tuple[int, int]]) -> tuple[int, ...]:
     for a, b in pairs:
         order[a], order[b] = b, a
     return tuple(order)
+
+
+def _without(scheme: Scheme, dropped: Collection[int], name: str) -> Scheme:
+    """The scheme without some of its points, none of which may belong to an eye; outlines lose corners."""
+    kept = [index for index in range(scheme.count) if index not in dropped]
+    new = {old: index for index, old in enumerate(kept)}
+
+    def renamed(indices: Iterable[int]) -> tuple[int, ...]:
+        return tuple(new[index] for index in indices if index in new)
+
+    return Scheme(
+        name=name,
+        count=len(kept),
+        outer_eyes=scheme.outer_eyes and (new[scheme.outer_eyes[0]], new[scheme.outer_eyes[1]]),
+        pupils=scheme.pupils and (renamed(scheme.pupils[0]), renamed(scheme.pupils[1])),
+        mirror=scheme.mirror and renamed(scheme.mirror[old] for old in kept),
+        lines=tuple(map(renamed, scheme.lines)),
+    )
 
 
 def _run(first: int, last: int, closed: bool = False) -> tuple[int, ...]:
@@ -133,7 +152,12 @@ LFPW29 = Scheme(
     ),
 )
 
-SCHEMES = {scheme.name: scheme for scheme in (AFLW21, LFPW29, IBUG68)}
+# LFPW's points that 68-point labels can give: those know nothing of the brows' lower edges.
+_LOWER_BROWS = ("left_eyebrow_center_bottom", "right_eyebrow_center_bottom")
+LFPW27_NAMES = tuple(name for name in LFPW29_NAMES if name not in _LOWER_BROWS)
+LFPW27 = _without(LFPW29, [LFPW29_NAMES.index(name) for name in _LOWER_BROWS], "lfpw27")
+
+SCHEMES = {scheme.name: scheme for scheme in (AFLW21, LFPW27, LFPW29, IBUG68)}
 
 
 def scheme_named(name: str) -> Scheme:
@@ -151,8 +175,11 @@ def scheme_named(name: str) -> Scheme:
 
 
 def scheme_of_count(count: int) -> Scheme:
-    """The known scheme with ``count`` points, or ``points<count>`` when the meaning of the points is unknown."""
-    for scheme in SCHEMES.values():
+    """The scheme that files of ``count`` points are labelled with, or ``points<count>`` when that is unknown.
+
+    LFPW27 is never guessed: it comes from conversions, and 27 points of a file may be any.
+    """
+    for scheme in (AFLW21, LFPW29, IBUG68):
         if scheme.count == count:
             return scheme
     return Scheme(name=f"points{count}", count=count)

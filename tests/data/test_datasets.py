@@ -1,11 +1,16 @@
 """Datasets by name, and the real ones."""
 
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from jaxfit.data.datasets import FORMATS, read_dataset
+from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.pts import write_pts
+from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import DatasetError, InputError
+from jaxfit.shapes.schemes import AFLW21, IBUG68, LFPW29
 
 
 @pytest.mark.parametrize("spec", ["", "folder", "jpg:folder", "pts", "pts:", ":folder", "PTS:folder"])
@@ -49,3 +54,29 @@ def test_the_real_datasets(shared_data, spec, scheme, faces, subjects, complete)
     assert sum(face.complete for face in dataset.faces) == complete
     if subjects:
         assert len({face.subject for face in dataset.faces}) == subjects
+
+
+def test_a_converted_point_is_known_and_seen_where_all_its_sources_are():
+    landmarks = np.random.default_rng(0).uniform(0, 100, (68, 2))
+    landmarks[36] = np.nan  # the left eye's outer corner, which its centre is made of too
+    present = np.isfinite(landmarks).all(1)
+    visible = present.copy()
+    visible[54] = False  # a corner of the mouth
+    face = FaceRecord(Path("a.jpg"), landmarks, present, visible, np.ones(4), np.zeros(3), "anna", "a")
+    dataset = Dataset("pts:folder", IBUG68, (face,), ("one is unreadable",))
+
+    converted = convert_dataset(dataset, AFLW21)
+    assert (converted.spec, converted.scheme, converted.problems) == (dataset.spec, AFLW21, dataset.problems)
+    (made,) = converted.faces
+    for field in fields(FaceRecord):
+        if field.name not in ("landmarks", "present", "visible"):
+            assert getattr(made, field.name) is getattr(face, field.name)
+    np.testing.assert_array_equal(made.present, np.isfinite(made.landmarks).all(1))
+    assert np.flatnonzero(~made.present).tolist() == [6, 7]
+    assert np.flatnonzero(~made.visible).tolist() == [6, 7, 19]
+    np.testing.assert_array_equal(made.landmarks[19], landmarks[54])
+
+
+def test_labels_that_cannot_be_converted_name_their_dataset():
+    with pytest.raises(InputError, match="aflw:folder: cannot convert landmarks from aflw21 to lfpw29; known"):
+        convert_dataset(Dataset("aflw:folder", AFLW21, ()), LFPW29)

@@ -8,7 +8,10 @@ import pytest
 from jaxfit.data.pts import read_pts
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.schemes import (
+    AFLW21,
     IBUG68,
+    LFPW27,
+    LFPW27_NAMES,
     LFPW29,
     LFPW29_NAMES,
     SCHEMES,
@@ -60,10 +63,11 @@ def test_indices_are_in_range(scheme):
     assert 0 <= min(used) <= max(used) < scheme.count
 
 
-def test_names_of_mirror_images_differ_in_the_side_only():
+@pytest.mark.parametrize(("scheme", "names"), [(LFPW27, LFPW27_NAMES), (LFPW29, LFPW29_NAMES)])
+def test_names_of_mirror_images_differ_in_the_side_only(scheme, names):
     swap = {"left": "right", "right": "left"}
-    for index, name in enumerate(LFPW29_NAMES):
-        assert LFPW29_NAMES[LFPW29.mirror[index]] == "_".join(swap.get(part, part) for part in name.split("_"))
+    for index, name in enumerate(names):
+        assert names[scheme.mirror[index]] == "_".join(swap.get(part, part) for part in name.split("_"))
 
 
 def test_the_mean_of_real_faces_is_nearly_symmetric(shared_data):
@@ -76,9 +80,13 @@ def test_the_mean_of_real_faces_is_nearly_symmetric(shared_data):
 
 
 @every_scheme
-def test_schemes_are_found_by_name_and_by_count(scheme):
+def test_schemes_are_found_by_name(scheme):
     assert scheme_named(scheme.name) is scheme
-    assert scheme_of_count(scheme.count) is scheme
+
+
+def test_only_schemes_that_people_label_are_guessed_from_the_number_of_points():
+    assert [scheme_of_count(count) for count in (21, 29, 68)] == [AFLW21, LFPW29, IBUG68]
+    assert scheme_of_count(LFPW27.count) == Scheme("points27", 27)
 
 
 def test_points_of_unknown_meaning():
@@ -92,5 +100,5 @@ def test_points_of_unknown_meaning():
     "name", ["", "ibug", "68", "points", "points0", "points-3", "points1.5", "points²", "points" + "9" * 5000]
 )
 def test_unknown_names_are_refused(name):
-    with pytest.raises(InputError, match=r"known: aflw21, lfpw29, ibug68, points<N>"):
+    with pytest.raises(InputError, match=r"known: aflw21, lfpw27, lfpw29, ibug68, points<N>"):
         scheme_named(name)
