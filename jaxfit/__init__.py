@@ -8,7 +8,7 @@
 __version__ = "0.1.0.dev0"
 
 from jaxfit.cascade.fit import fit_crops, fit_face
-from jaxfit.data.datasets import read_dataset
+from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import evaluate
@@ -29,6 +29,7 @@ __all__ = [
     "Options",
     "Trained",
     "bundled",
+    "convert_dataset",
     "crop_faces",
     "detect_faces",
     "evaluate",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.images import read_image, to_grey
 from jaxfit.data.records import FaceRecord
@@ -15,6 +16,8 @@ from jaxfit.evaluation.errors import nmed
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.fitting import BATCHES, fit, warm_up
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.conversions import convert, sources
+from jaxfit.shapes.schemes import Scheme
 
 _NO_BOX = np.full(4, np.nan)
 
@@ -92,33 +95,43 @@ def evaluate(
     boxes: np.ndarray,
     *,
     kind: str = SQUARE,
+    scheme: Scheme | None = None,
     normaliser: str = "outer",
+    initialisations: int = 1,
+    rotations: tuple[float, float] = ANY_ROTATION,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors.
 
     Args:
         model: the model.
-        faces: N faces of the model's landmark scheme.
+        faces: N labelled faces.
         boxes: (N, 4) x, y, width, height in pixels; a NaN box is an undetected face: a failure.
         kind: what drew the boxes, one of ``model.placements``.
+        scheme: what the labels mean, if not what the model's landmarks do: fits are converted to it.
         normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
+        initialisations: starts for each face, as in ``jaxfit.fit``.
+        rotations: lowest and highest rotation of the starts, in degrees.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
-        InputError: faces of another number of landmarks, boxes of another number, or an unknown normaliser or kind.
+        InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
+            number, an unknown normaliser or kind, no or two initialisations, or no range of rotations.
     """
     boxes = np.asarray(boxes, np.float64)
     if boxes.shape != (len(faces), 4):
         raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
-    require_scheme(model, faces)
+    scheme = scheme or model.scheme
+    sources(model.scheme, scheme)  # a wrong scheme stops before the work
+    require_scheme(scheme, faces)
     model.placement(kind)
-    truth = np.array([face.landmarks for face in faces]).reshape(-1, model.scheme.count, 2)
+    check_rotations(initialisations, rotations)
+    truth = np.array([face.landmarks for face in faces]).reshape(-1, scheme.count, 2)
     landmarks = np.full_like(truth, np.nan)
-    nmed(landmarks[:0], truth[:0], model.scheme, normaliser)  # a wrong normaliser stops before the work
+    nmed(landmarks[:0], truth[:0], scheme, normaliser)  # a wrong normaliser stops before the work
     if faces:
         progress("compiling (cached for later runs)", 0, len(faces))
-        warm_up(model, [size for size in BATCHES if size <= len(faces)])
+        warm_up(model, [size for size in BATCHES if size <= len(faces)], initialisations)
     problems: dict[int, str] = {}
     seconds, fitted = 0.0, 0
     for first in range(0, len(faces), BATCHES[0]):
@@ -134,32 +147,39 @@ def evaluate(
             except ImageError as error:
                 problems[number] = str(error)
         begin = time.perf_counter()
-        fits = fit(model, pictures, boxes[rows].reshape(-1, 4), kind=kind)
+        fits = fit(
+            model,
+            pictures,
+            boxes[rows].reshape(-1, 4),
+            kind=kind,
+            initialisations=initialisations,
+            rotations=rotations,
+        )
         seconds += time.perf_counter() - begin
         fitted += len(rows)
-        landmarks[rows] = fits.landmarks
+        landmarks[rows] = convert(fits.landmarks, model.scheme, scheme)
         problems |= {rows[i]: f"{faces[rows[i]].image}: {why}" for i, why in fits.problems.items()}
     progress("fitting", len(faces), len(faces))
     return Evaluation(
         faces=tuple(faces),
         boxes=boxes,
         landmarks=landmarks,
-        errors=nmed(landmarks, truth, model.scheme, normaliser),
+        errors=nmed(landmarks, truth, scheme, normaliser),
         normaliser=normaliser,
         problems=problems,
         seconds_per_face=seconds / fitted if fitted else float("nan"),
     )
 
 
-def require_scheme(model: Model, faces: Sequence[FaceRecord]) -> None:
-    """Check that faces have the model's landmarks.
+def require_scheme(scheme: Scheme, faces: Sequence[FaceRecord]) -> None:
+    """Check that faces are labelled with as many landmarks as a scheme has.
 
     Raises:
-        InputError: they do not.
+        InputError: they are not.
     """
     for face in faces:
-        if len(face.landmarks) != model.scheme.count:
+        if len(face.landmarks) != scheme.count:
             raise InputError(
-                f"the model finds {model.scheme.count} landmarks ({model.scheme.name}), but {face.image} is labelled "
+                f"the model finds {scheme.count} landmarks ({scheme.name}), but {face.image} is labelled "
                 f"with {len(face.landmarks)}; train a model on faces labelled like these"
             )

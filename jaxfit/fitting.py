@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxfit.cascade.fit import fit_crops
-from jaxfit.data.boxes import box_problem
+from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, start_rotations
+from jaxfit.data.boxes import box_centre, box_problem
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.images import to_grey
 from jaxfit.exceptions import ImageError, InputError
@@ -53,7 +53,8 @@ def crop_faces(
         kind: what drew the boxes, one of ``model.placements``; or N of them.
 
     Returns:
-        The crops; and for each face that cannot be cut (its crop is black) its number and why.
+        The crops, with the centres of the boxes as pivots; and for each face that cannot be cut (its crop is black)
+        its number and why.
 
     Raises:
         InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
@@ -76,7 +77,7 @@ def crop_faces(
         if complaint := box_problem(box, grey.shape):
             problems[number] = complaint
             continue
-        cut(grey, *placements[number].face_in(box), crops, number)
+        cut(grey, *placements[number].face_in(box), crops, number, box_centre(box))
     return crops, problems
 
 
@@ -102,6 +103,8 @@ def fit(
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
+    initialisations: int = 1,
+    rotations: tuple[float, float] = ANY_ROTATION,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
     """Find the landmarks of N faces.
@@ -115,11 +118,17 @@ def fit(
         boxes: (N, 4) x, y, width, height of the faces, in pixels.
         kind: what drew the boxes: ``"square"`` are squares around the landmarks, give or take; the others that a model
             knows stand in ``model.placements``. One for all, or N of them.
+        initialisations: starts for each face, one or at least three, turned evenly over ``rotations``; the fit nearest
+            to all others is kept (thesis 3.2.3). Worth their time, a multiple of one start's, where faces may be
+            turned in the picture and the model was trained for it.
+        rotations: lowest and highest rotation of the starts, in degrees, clockwise as seen; a single start is in the
+            middle.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
+        InputError: ``boxes`` is not (N, 4), ``kind`` is unknown, there are no initialisations or no range.
     """
+    turns = start_rotations(initialisations, rotations)
     crops, problems = crop_faces(model, images, boxes, kind)
     landmarks = np.full((len(images), model.scheme.count, 2), np.nan)
     usable = np.array([number for number in range(len(images)) if number not in problems], int)
@@ -127,7 +136,8 @@ def fit(
     for size in _batch_sizes(len(usable)):
         progress("fitting", done, len(usable))
         rows = usable[done : done + size]
-        fitted = fit_crops(model.cascade, jnp.asarray(crops.pixels[rows]))
+        pivots = jnp.asarray(crops.pivots[rows], jnp.float32)
+        fitted = fit_crops(model.cascade, jnp.asarray(crops.pixels[rows]), turns, pivots)
         landmarks[rows] = crops.to_images(np.asarray(fitted, np.float64), rows)
         done += size
     progress("fitting", done, len(usable))
@@ -146,8 +156,15 @@ def _batch_sizes(count: int) -> list[int]:
     return sizes
 
 
-def warm_up(model: Model, batches: Sequence[int] = BATCHES) -> None:
-    """Compile the model for the batch sizes that ``fit`` uses; the first fit is then as fast as the others."""
+def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int = 1) -> None:
+    """Compile the model for the batch sizes that ``fit`` uses; the first fit is then as fast as the others.
+
+    Raises:
+        InputError: no initialisations, or two.
+    """
     side = model.cascade.frame.crop
+    turns = start_rotations(initialisations, ANY_ROTATION)
     for size in batches:
-        jax.block_until_ready(fit_crops(model.cascade, jnp.zeros((size, side, side), jnp.uint8)))
+        jax.block_until_ready(
+            fit_crops(model.cascade, jnp.zeros((size, side, side), jnp.uint8), turns, jnp.zeros((size, 2)))
+        )

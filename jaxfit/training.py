@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxfit import __version__
+from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
-from jaxfit.data.boxes import bounding_square, jitter
+from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detection import best_match, detect_faces
 from jaxfit.data.images import read_image, to_grey
@@ -23,11 +24,14 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
+from jaxfit.shapes.similarity import SimilarityASM, learn_similarity_asm
 from jaxfit.shapes.space import ShapeSpace
 
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
 _FEWEST_DETECTED = 10
+# How far starts of several initialisations are turned in training, as a share of the range that they cover.
+_REACH = 0.7
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 
 
@@ -43,12 +47,23 @@ class Options:
         ridge: strength of the ridge penalty, relative to the mean variance of a kept component; 0 is least squares.
         spread: factor on the measured spread of the starts. They are drawn around crops in which true faces scatter
             too, so that the starts of training are wider than those of fitting: better than narrower.
+        initialisations: how many starts fitting shall use, one or at least three. With more than one, the starts of
+            training are spread over rotations, too, so that fits from wrongly turned starts come to the face.
+        rotations: in degrees, the range that the rotations of those starts cover evenly.
+        shape_variance: share of the shape's variance that an Active Shape Model keeps, in (0, 1]; the thesis's is 0.95.
+        sigmas: radius of the ellipsoid that an Active Shape Model's coefficients are kept in, in standard deviations.
+            The thesis's is 3; but the more modes there are, the farther out faces lie, and most are cut off by 3. None
+            takes the radius that holds as many of normally distributed faces as ±3 hold of normal numbers, 99.7 %.
         mirror: train on mirrored pictures too.
         haar: run OpenCV's Haar detectors on the training pictures to learn how faces lie in their boxes, which takes
             some minutes; without, the model knows only boxes around the landmarks.
         seed: of boxes and starts.
-        descriptor: what is seen at a landmark.
+        descriptor: what is seen at a landmark; None is SIFT in windows that turn with the face for the parametric
+            method and for several initialisations, and in upright ones else.
         frame: size of the crops.
+
+    Raises:
+        InputError: an option out of range.
     """
 
     windows: tuple[float, ...] = (0.45, 0.34, 0.26, 0.2, 0.15)
@@ -56,26 +71,35 @@ class Options:
     variance: float = 0.95
     ridge: float = 1.0
     spread: float = 1.0
+    initialisations: int = 1
+    rotations: tuple[float, float] = ANY_ROTATION
+    shape_variance: float = 0.99
+    sigmas: float | None = None
     mirror: bool = True
     haar: bool = True
     seed: int = 0
-    descriptor: Descriptor = field(default_factory=Sift)
+    descriptor: Descriptor | None = None
     frame: Frame = field(default_factory=Frame)
 
     def __post_init__(self) -> None:
-        numbers = (*self.windows, self.variance, self.ridge, self.spread)
+        check_rotations(self.initialisations, self.rotations)
+        sigmas = 3.0 if self.sigmas is None else self.sigmas
+        numbers = (*self.windows, self.variance, self.shape_variance, sigmas, self.ridge, self.spread)
         if not (
             self.windows
             and all(map(isfinite, numbers))
-            and min(self.windows) > 0
+            and min(*self.windows, sigmas) > 0
             and self.augmentations >= 1
             and 0 < self.variance <= 1
+            and 0 < self.shape_variance <= 1
             and min(self.ridge, self.spread, self.seed) >= 0
         ):
             raise InputError(
-                "expected at least one step, windows > 0, augmentations >= 1, 0 < variance <= 1, and ridge, spread and "
-                f"seed >= 0; got windows {self.windows}, augmentations {self.augmentations}, variance {self.variance}, "
-                f"ridge {self.ridge}, spread {self.spread}, seed {self.seed}"
+                "expected at least one step, windows and sigmas > 0, augmentations >= 1, 0 < variance <= 1, "
+                "0 < shape_variance <= 1, and ridge, spread and seed >= 0; got "
+                f"windows {self.windows}, sigmas {self.sigmas}, augmentations {self.augmentations}, "
+                f"variance {self.variance}, shape_variance {self.shape_variance}, ridge {self.ridge}, "
+                f"spread {self.spread}, seed {self.seed}"
             )
 
 
@@ -94,12 +118,32 @@ class Trained:
     problems: tuple[str, ...]
 
 
-def _point_space(faces: np.ndarray, frame: Frame) -> PointSpace:
-    return PointSpace(jnp.asarray(mean_face(faces, frame.face), jnp.float32))
+def _point_space(faces: np.ndarray, options: Options) -> PointSpace:
+    return PointSpace(jnp.asarray(mean_face(faces, options.frame.face), jnp.float32))
 
 
-# Methods by name: each learns its shape space from faces (N, L, 2), given in units of their bounding squares.
-METHODS: dict[str, Callable[[np.ndarray, Frame], ShapeSpace]] = {"sdm": _point_space}
+def _similarity_asm(faces: np.ndarray, options: Options) -> SimilarityASM:
+    points = jnp.asarray(faces, jnp.float32)
+    return learn_similarity_asm(points, options.frame.face, options.shape_variance, options.sigmas)
+
+
+@dataclass(frozen=True)
+class Method:
+    """What makes a method.
+
+    Attributes:
+        learn_space: learns the shape space from faces (N, L, 2), given in units of their bounding squares.
+        descriptor: what is seen at a landmark unless told otherwise.
+    """
+
+    learn_space: Callable[[np.ndarray, Options], ShapeSpace]
+    descriptor: Descriptor
+
+
+METHODS = {
+    "sdm": Method(_point_space, Sift("upright")),
+    "parametric": Method(_similarity_asm, Sift("face")),
+}
 
 
 def train(
@@ -115,7 +159,8 @@ def train(
     Args:
         faces: the labelled faces, all of one scheme.
         scheme: what their landmarks mean.
-        method: one of ``METHODS``; ``"sdm"`` is the Supervised Descent Method.
+        method: one of ``METHODS``: ``"sdm"`` is the Supervised Descent Method, ``"parametric"`` the same on the
+            parameters of an Active Shape Model.
         options: how to train; None for the defaults.
         progress: called with a stage's name, what is done and what there is to do.
 
@@ -149,7 +194,7 @@ def train(
             problems.append(str(error))
             continue
         usable.append(number)
-        cut(grey, *placement.face_in(squares[number]), crops, number)
+        cut(grey, *placement.face_in(squares[number]), crops, number, box_centre(squares[number]))
         if options.haar and number % every == 0:
             detected.look(number, grey, squares[number])
     progress("reading pictures", len(complete), len(complete))
@@ -157,10 +202,10 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
 
     rows = np.array(usable)
-    space = METHODS[method](relative[rows], options.frame)
+    space = METHODS[method].learn_space(relative[rows], options)
     cascade = train_cascade(
         space,
-        options.descriptor,
+        options.descriptor or default_descriptor(method, options.initialisations),
         options.frame,
         _training_set(crops, landmarks, rows, scheme if options.mirror else None),
         _scaled(placement.spread, options.spread),
@@ -169,6 +214,7 @@ def train(
         variance=options.variance,
         ridge=options.ridge,
         seed=options.seed,
+        turn=_turn(options),
         progress=progress,
     )
     placements = {SQUARE: placement, **detected.placements(landmarks, mean, options.frame.face)}
@@ -177,6 +223,21 @@ def train(
         len(usable),
         tuple(problems),
     )
+
+
+def default_descriptor(method: str, initialisations: int) -> Descriptor:
+    """What is seen at a landmark unless told otherwise: with several initialisations, windows turn with the face."""
+    return METHODS[method].descriptor if initialisations == 1 else Sift("face")
+
+
+def _turn(options: Options) -> float:
+    """By how much starts are turned in training, at most, in radians.
+
+    The fits of most starts must come to the face wherever in the range it lies, lest their centroid be elsewhere.
+    Reaching over half the range would do, if all fits from within reach succeeded.
+    """
+    low, high = options.rotations
+    return 0.0 if options.initialisations == 1 else min(float(np.radians(_REACH * (high - low))), np.pi)
 
 
 def _usable(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
@@ -212,13 +273,14 @@ class _Detected:
 
 def _training_set(crops: Crops, landmarks: np.ndarray, rows: np.ndarray, mirror: Scheme | None) -> TrainingSet:
     """The faces in crop pixels; with ``mirror``, each a second time, flipped."""
-    points = crops.from_images(landmarks[rows], rows)
+    points, pivots = crops.from_images(landmarks[rows], rows), crops.pivots[rows]
     flips = np.zeros(len(rows), bool)
     if mirror is not None:
-        flipped = mirrored(points, crops.pixels.shape[2], mirror)
-        points, rows = np.concatenate([points, flipped]), np.concatenate([rows, rows])
+        width = crops.pixels.shape[2]
+        points, rows = np.concatenate([points, mirrored(points, width, mirror)]), np.concatenate([rows, rows])
+        pivots = np.concatenate([pivots, [width - 1, 0] + pivots * [-1, 1]])
         flips = np.concatenate([flips, ~flips])
-    return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows)
+    return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows, pivots.astype(np.float32))
 
 
 def _scaled(spread: Spread, factor: float) -> Spread:
@@ -233,4 +295,5 @@ def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
     told_elsewhere = ("descriptor", "frame", "haar")
     made = {key: value for key, value in asdict(options).items() if key not in told_elsewhere}
-    return {"jaxfit": __version__, "method": method, "faces": faces, **made, "windows": list(options.windows)}
+    lists = {"windows": list(options.windows), "rotations": list(options.rotations)}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists}

@@ -1,34 +1,57 @@
-"""Cross-validate a method: k folds split by subject, one table a dataset; a killed run goes on at the fold it was in.
+"""Cross-validate methods: k folds split by subject, a table, and tests of whether the methods differ.
 
-Several processes may share the work: give each its own ``--fold``, then run once more without it for the table.
+A killed run goes on where it was, and methods may join later. Several processes may share the work: give each its own
+``--fold`` or ``--method``, then run once more with all for the tables.
 """
 
 import argparse
 import csv
-import json
 import platform
 import sys
+from functools import partial
 from pathlib import Path
+from urllib.parse import quote
 
 import jax
 import numpy as np
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, add_training, out_folder, read_datasets, training_options
+from jaxfit.cli.arguments import (
+    add_datasets,
+    add_training,
+    out_folder,
+    read_datasets,
+    shared_scheme,
+    training_options,
+    variant,
+)
 from jaxfit.cli.main import keep_compiled_code
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
 from jaxfit.evaluating import evaluate, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.evaluation.tables import SUMMARY_COLUMNS, markdown_table, summary_row
+from jaxfit.evaluation.tables import (
+    COMPARISON_COLUMNS,
+    SUMMARY_COLUMNS,
+    comparison_row,
+    markdown_table,
+    summary_row,
+)
 from jaxfit.exceptions import InputError, JaxfitError
-from jaxfit.training import train
+from jaxfit.training import METHODS, train
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_datasets(parser)
+    parser.add_argument(
+        "--method",
+        nargs="+",
+        default=["sdm"],
+        help=f"what to train: {', '.join(METHODS)}; later ones are compared with the first. NAME:key=value,key=value "
+        "sets options for that method only, such as parametric:sigmas=4,orientation=principal",
+    )
     add_training(parser)
     parser.add_argument("--folds", type=int, default=5)
     parser.add_argument("--fold", type=int, help="run this fold alone, counted from 0")
@@ -44,8 +67,12 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    datasets = read_datasets(arguments.data)
-    scheme = datasets[0].scheme
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    scheme = shared_scheme(datasets)
+    options_of = partial(training_options, arguments, scheme)
+    methods = {name: variant(name, options_of) for name in arguments.method}
+    if len(methods) < len(arguments.method):
+        raise InputError(f"--method: expected each method once; got {' '.join(arguments.method)}")
     # Methods are trained on complete faces and compared on them.
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
     for dataset in datasets:
@@ -62,69 +89,91 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.fold is not None and not 0 <= arguments.fold < arguments.folds:
         raise InputError(f"expected --fold from 0 to {arguments.folds - 1}; got {arguments.fold}")
     folder = out_folder(arguments.out)
-    settings = {k: v for k, v in sorted(vars(arguments).items()) if k not in ("out", "fold", "data")}
+    # Not the methods: their folds lie side by side.
+    settings = {k: v for k, v in sorted(vars(arguments).items()) if k not in ("out", "fold", "data", "method")}
     settings["datasets"] = sorted({name: names.count(name) for name in names}.items())
-    _require_same(folder / "settings.json", json.loads(json.dumps(settings)))
+    require_same_settings(folder / "settings.json", settings)
 
     for fold in range(arguments.folds) if arguments.fold is None else [arguments.fold]:
-        path = folder / f"fold{fold}.csv"
-        if path.exists():
-            continue
         tested = np.flatnonzero(folds == fold)
-        print(f"fold {fold}: {len(faces) - len(tested)} faces to train, {len(tested)} to test", flush=True)
-        with Bars() as bars:
-            trained = train(
-                [faces[i] for i in np.flatnonzero(folds != fold)],
-                scheme,
-                method=arguments.method,
-                options=training_options(arguments, scheme),
-                progress=bars,
-            )
-            held_out = [faces[i] for i in tested]
-            result = evaluate(
-                trained.model,
-                held_out,
-                start_boxes(held_out, arguments.seed),
-                normaliser=arguments.normaliser,
-                progress=bars,
-            )
-        report_problems([*trained.problems, *result.problems.values()])
-        rows = [(names[i], faces[i].face, repr(e)) for i, e in zip(tested, result.errors.tolist(), strict=True)]
-        write_csv(path, ["dataset", "face", "nmed"], rows)
+        held_out = [faces[i] for i in tested]
+        learned = [faces[i] for i in np.flatnonzero(folds != fold)]
+        for name, (method, options) in methods.items():
+            path = _fold_file(folder, fold, name)
+            if path.exists():
+                continue
+            print(f"fold {fold}, {name}: {len(learned)} faces to train, {len(held_out)} to test", flush=True)
+            with Bars() as bars:
+                trained = train(learned, scheme, method=method, options=options, progress=bars)
+                result = evaluate(
+                    trained.model,
+                    held_out,
+                    start_boxes(held_out, arguments.seed),
+                    normaliser=arguments.normaliser,
+                    initialisations=options.initialisations,
+                    rotations=options.rotations,
+                    progress=bars,
+                )
+            report_problems([*trained.problems, *result.problems.values()])
+            rows = [(names[i], faces[i].face, repr(e)) for i, e in zip(tested, result.errors.tolist(), strict=True)]
+            write_csv(path, ["dataset", "face", "nmed"], rows)
 
-    paths = [folder / f"fold{fold}.csv" for fold in range(arguments.folds)]
-    if not all(path.exists() for path in paths):
+    paths = {name: [_fold_file(folder, fold, name) for fold in range(arguments.folds)] for name in methods}
+    if not all(path.exists() for of_method in paths.values() for path in of_method):
         return 0
-    table = _table(paths, dict.fromkeys(names))
+    tables = _tables({name: _errors(of_method) for name, of_method in paths.items()}, list(dict.fromkeys(names)))
     about = (
-        f"{arguments.folds}-fold cross-validation of {arguments.method}, split by subject; NMED over "
+        f"{arguments.folds}-fold cross-validation of {scheme.name} landmarks, split by subject; NMED over "
         f"{NORMALISER_TITLES[arguments.normaliser]}.\n"
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}.\n"
+        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}."
     )
+    text = "\n\n".join([about, *tables]) + "\n"
     with atomic_write(folder / "table.md", "w") as file:
-        file.write(f"{about}\n{table}\n")
-    print(about + table)
+        file.write(text)
+    print(text, end="")
     return 0
 
 
-def _require_same(path: Path, settings: dict[str, object]) -> None:
-    """Folds of different settings must not be mixed in one table."""
-    if not path.exists():
-        with atomic_write(path, "w") as file:
-            json.dump(settings, file, indent=2)
-    elif (before := json.loads(path.read_text())) != settings:
-        changed = sorted(k for k in {**before, **settings} if before.get(k) != settings.get(k))
-        raise InputError(f"{path.parent} holds folds of other settings ({', '.join(changed)}); use another --out")
+def _fold_file(folder: Path, fold: int, method: str) -> Path:
+    """Where the errors of a method's fold go; whatever the method's options, a good name and one of its own."""
+    return folder / f"fold{fold}-{quote(method.replace(':', '-'), safe='=,')}.csv"
 
 
-def _table(paths: list[Path], names: dict[str, None]) -> str:
-    errors: dict[str, list[float]] = {name: [] for name in names}
+def _errors(paths: list[Path]) -> dict[tuple[str, str], float]:
+    """The errors in fold files by dataset and face."""
+    errors = {}
     for path in paths:
         with open(path, encoding="utf-8", newline="") as file:
-            for row in csv.DictReader(file):
-                errors[row["dataset"]].append(float(row["nmed"]))
-    rows = [{"dataset": name, **summary_row(np.array(values))} for name, values in errors.items()]
-    return markdown_table(rows, {"dataset": "", **SUMMARY_COLUMNS})
+            errors.update({(row["dataset"], row["face"]): float(row["nmed"]) for row in csv.DictReader(file)})
+    return errors
+
+
+def _tables(errors: dict[str, dict[tuple[str, str], float]], datasets: list[str]) -> list[str]:
+    """Each method's errors, and how those of the later methods differ from those of the first."""
+    first, *others = errors
+    groups = {name: [face for face in errors[first] if face[0] == name] for name in datasets}
+
+    def of(method: str, faces: list[tuple[str, str]]) -> np.ndarray:
+        return np.array([errors[method][face] for face in faces])
+
+    rows = [
+        {"dataset": name, "method": method, **summary_row(of(method, faces))}
+        for name, faces in groups.items()
+        for method in errors
+    ]
+    tables = [markdown_table(rows, {"dataset": "", "method": "", **SUMMARY_COLUMNS})]
+    if others:
+        together = {"all": list(errors[first])} if len(groups) > 1 else {}
+        rows = [
+            {"dataset": name, "method": other, **comparison_row(of(other, faces), of(first, faces))}
+            for name, faces in [*groups.items(), *together.items()]
+            for other in others
+        ]
+        tables.append(
+            f"Compared with {first}, on the same faces; below zero is better:\n\n"
+            + markdown_table(rows, {"dataset": "", "method": "", **COMPARISON_COLUMNS})
+        )
+    return tables
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """Running a cascade: one face from one start; then a batch of crops, each from one or several starts."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import lax, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
@@ -11,59 +12,158 @@ from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
-from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.types import Crop, Features, Landmarks, Params, Scalar
+from jaxfit.shapes.space import ShapeSpace, Start, rotate
+from jaxfit.types import Crop, Features, Landmarks, Params, Point, Scalar
 
-# Faces whose windows are sampled together: few enough to stay in the processor's cache.
-FACES_AT_ONCE = 4
+# Fits whose windows are sampled together: few enough to stay in the processor's cache.
+SAMPLED_AT_ONCE = 4
+_FAR = 1e4  # pixels, many crops
+# Degrees: what several starts cover unless told otherwise. Faces upside down are left out, as in the thesis.
+ANY_ROTATION = (-90.0, 90.0)
 
 
-def features_at(descriptor: Descriptor, space: ShapeSpace, prepared: Any, params: Params, window: Scalar) -> Features:
+class State(NamedTuple):
+    """A face in a frame that may be turned against the crop, about the crop's first pixel.
+
+    A descriptor whose windows turn with the face sees all faces upright, so that steps are learned and taken in a
+    frame that is turned with the face, too: a turned picture is then no harder than an upright one.
+
+    Attributes:
+        params: (P,) the face in the frame.
+        angle: of the frame, in radians, clockwise as seen; 0 for descriptors that do not turn.
+    """
+
+    params: Params
+    angle: Scalar
+
+
+def state_of(descriptor: Descriptor, space: ShapeSpace, params: Params) -> State:
+    """The state of a face that is given in the crop."""
+    return followed(descriptor, space, State(params, jnp.zeros(())))
+
+
+def followed(descriptor: Descriptor, space: ShapeSpace, state: State) -> State:
+    """The state with the frame turned until the face is upright in it, if the descriptor turns."""
+    if not descriptor.turns:
+        return state
+    angle = space.rotation(state.params)
+    return State(space.turned(state.params, -angle), state.angle + angle)
+
+
+def landmarks_of(space: ShapeSpace, state: State) -> Landmarks:
+    """The landmarks of a state, in crop pixels."""
+    return rotate(space.landmarks(state.params), state.angle)
+
+
+def features_at(descriptor: Descriptor, space: ShapeSpace, prepared: Any, state: State, window: Scalar) -> Features:
     """The concatenated descriptors of one face; ``window`` is the side, in pixels, for a face of scale 1."""
-    side = window * space.scale(params)
-    described = vmap(lambda point: descriptor.describe(prepared, point, side))(space.landmarks(params))
+    side = window * space.scale(state.params)
+    points = landmarks_of(space, state)
+    described = vmap(lambda point: descriptor.describe(prepared, point, side, state.angle))(points)
     return described.reshape(-1)
 
 
+def target_of(descriptor: Descriptor, space: ShapeSpace, landmarks: Landmarks) -> State:
+    """The state that fitting should arrive at, for known landmarks in the crop."""
+    angle = state_of(descriptor, space, space.encode(landmarks)).angle
+    return State(space.encode(rotate(landmarks, -angle)), angle)
+
+
+def step_to(space: ShapeSpace, target: State, state: State) -> Float[Array, "params"]:
+    """The step that leads from a state to a target: what a regressor learns."""
+    return space.difference(space.turned(target.params, target.angle - state.angle), state.params)
+
+
+def advanced(descriptor: Descriptor, space: ShapeSpace, state: State, step: Float[Array, "params"]) -> State:
+    """The state after a step."""
+    return followed(descriptor, space, State(space.advance(state.params, step), state.angle))
+
+
+def fit_state(cascade: Cascade, prepared: Any, state: State) -> State:
+    """Fit one face from one state: the whole cascade, on a crop that the descriptor has prepared."""
+    descriptor, space = cascade.descriptor, cascade.space
+
+    def step(state: State, layer: tuple[Array, Array, Array]) -> tuple[State, None]:
+        weights, bias, window = layer
+        seen = features_at(descriptor, space, prepared, state, window)
+        return advanced(descriptor, space, state, seen @ weights + bias), None
+
+    return lax.scan(step, state, (cascade.weights, cascade.biases, cascade.windows))[0]
+
+
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
-    """Fit one face from one start: parameters in, parameters out.
+    """Fit one face from one start: parameters in, parameters out, both in the crop.
+
+    Where windows turn with the face, so does the frame of the fit (see `State`), and what comes out are the parameters
+    in the crop that come nearest to it: for spaces that cannot represent every turned face (see `ShapeSpace.turned`)
+    the landmarks of `fit_crops` are the more exact ones.
 
     A plain function to ``jit``, ``vmap`` and ``grad`` as you like. Differentiable in everything but the hard
     orientation bins of its descriptors.
     """
-    prepared = cascade.descriptor.prepare(crop)
-
-    def step(params: Params, layer: tuple[Array, Array, Array]) -> tuple[Params, None]:
-        weights, bias, window = layer
-        seen = features_at(cascade.descriptor, cascade.space, prepared, params, window)
-        return cascade.space.advance(params, seen @ weights + bias), None
-
-    return lax.scan(step, params, (cascade.weights, cascade.biases, cascade.windows))[0]
+    descriptor, space = cascade.descriptor, cascade.space
+    fitted = fit_state(cascade, descriptor.prepare(crop), state_of(descriptor, space, params))
+    return space.encode(landmarks_of(space, fitted)) if descriptor.turns else fitted.params
 
 
-def starts_of(frame: Frame, rotations: Float[Array, "starts"]) -> Start:
-    """Starts in the middle of the crop at the canonical size, one for each rotation in radians."""
-    count = rotations.shape[0]
-    return Start(jnp.full((count, 2), frame.middle), jnp.ones(count), rotations)
+def start_rotations(initialisations: int, rotations: tuple[float, float]) -> Float[Array, "starts"]:
+    """Rotations, in radians, of ``initialisations`` starts spread evenly over a range in degrees; one is in its middle.
+
+    Raises:
+        InputError: fewer than one, or two, of which none is nearer to the others; or no range.
+    """
+    check_rotations(initialisations, rotations)
+    low, high = rotations
+    full_circle = high - low == 360  # both ends are the same
+    several = np.linspace(low, high, initialisations, endpoint=not full_circle)
+    degrees = [(low + high) / 2] if initialisations == 1 else several
+    return jnp.asarray(np.radians(degrees), jnp.float32)
+
+
+def check_rotations(initialisations: int, rotations: tuple[float, float]) -> None:
+    """Check how many starts are asked for, and between which rotations in degrees.
+
+    Raises:
+        InputError: fewer than one, or two, of which none is nearer to the others; or no range.
+    """
+    ordered = len(rotations) == 2 and -360 <= rotations[0] <= rotations[1] <= min(360, rotations[0] + 360)
+    if initialisations < 1 or initialisations == 2 or not ordered:
+        raise InputError(
+            "expected one initialisation or at least three (of two fits none is nearer to the others), and rotations "
+            f"as degrees (lowest, highest) such as (-90, 90); got {initialisations} and {rotations}"
+        )
+
+
+def starts_of(frame: Frame, rotations: Float[Array, "starts"], pivot: Point) -> Start:
+    """The start in the middle of the crop at the canonical size, turned about a point by each of some rotations."""
+    upright = Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.zeros(()))
+    return vmap(lambda rotation: upright.turned(pivot, rotation))(rotations)
 
 
 def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
     """Index of the candidate with the smallest sum of point distances to the others (thesis 3.2.3, Eq. 12).
 
-    Candidates that diverged, with coordinates that are not finite, are neither kept nor counted.
+    Candidates that diverged, with coordinates that are not finite, are neither kept nor counted. Distances count as
+    ``_FAR`` at most, lest one fit that is on its way there drowns the others in rounding.
     """
     finite = jnp.isfinite(candidates).all((1, 2))
     known = jnp.where(finite[:, None, None], candidates, 0.0)
-    distances = jnp.sqrt(jnp.sum((known[:, None] - known[None, :]) ** 2, -1)).sum(2)
-    return jnp.argmin(jnp.where(finite, distances @ finite.astype(distances.dtype), jnp.inf))
+    apart = jnp.sqrt(jnp.sum((known[:, None] - known[None, :]) ** 2, -1))
+    distances = jnp.minimum(apart, _FAR).sum(2)
+    sums = jnp.sum(distances * finite, 1)
+    return jnp.argmin(jnp.where(finite, sums, jnp.inf))
 
 
-def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Landmarks:
-    """Fit one face from several starts (a leading axis) and keep the centroid of the fits."""
+def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Float[Array, "starts landmarks 2"]:
+    """Fit one face from several starts (a leading axis): the landmarks of every fit."""
     space = cascade.space
-    fits = vmap(lambda start: fit_face(cascade, crop, space.place(start)))(starts)
-    candidates = vmap(space.landmarks)(fits)
-    return candidates[centroid(candidates)]
+    prepared = cascade.descriptor.prepare(crop)
+
+    def fitted(start: Start) -> Landmarks:
+        state = state_of(cascade.descriptor, space, space.place(start))
+        return landmarks_of(space, fit_state(cascade, prepared, state))
+
+    return lax.map(fitted, starts, batch_size=SAMPLED_AT_ONCE)
 
 
 @jax.jit
@@ -71,6 +171,7 @@ def fit_crops(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
+    pivots: Float[Array, "faces 2"] | None = None,
 ) -> Float[Array, "faces landmarks 2"]:
     """Landmarks of a batch of crops, in crop pixels: the whole cascade in one compiled function.
 
@@ -79,12 +180,23 @@ def fit_crops(
         crops: uint8 grey crops of ``cascade.frame``, the expected face upright in the middle at the canonical size,
             as ``jaxfit.crop_faces`` cuts them.
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
+        pivots: (faces, 2) centres of the face boxes in crop pixels, ``crops.pivots``, about which starts are turned:
+            a face's centre is not its box's, and turns with it. None takes the middle of the crop.
 
     Raises:
-        InputError: crops of another size.
+        InputError: crops of another size, or no rotations.
     """
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
-    starts = starts_of(cascade.frame, jnp.zeros(1) if rotations is None else rotations)
-    return lax.map(lambda crop: fit_starts(cascade, crop, starts), crops, batch_size=FACES_AT_ONCE)
+    rotations = jnp.zeros(1) if rotations is None else rotations
+    if len(rotations) == 0:
+        raise InputError("expected at least one rotation to start from; got none")
+    pivots = jnp.full((len(crops), 2), cascade.frame.middle) if pivots is None else pivots
+
+    def fitted(face: tuple[Crop, Point]) -> Landmarks:
+        crop, pivot = face
+        candidates = fit_starts(cascade, crop, starts_of(cascade.frame, rotations, pivot))
+        return candidates[centroid(candidates)]
+
+    return lax.map(fitted, (crops, pivots), batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))

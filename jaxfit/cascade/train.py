@@ -11,14 +11,14 @@ from jax import lax, random, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from jaxfit.cascade.fit import FACES_AT_ONCE, features_at
+from jaxfit.cascade.fit import SAMPLED_AT_ONCE, State, advanced, features_at, state_of, step_to, target_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.regression import Moments, Projection, principal_axes, solve
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.types import Scalar
+from jaxfit.types import Point, Scalar
 
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
 _BATCH = 512
@@ -53,30 +53,48 @@ class TrainingSet:
         mirrored: (N,) bool, True where the crop must be flipped left to right to agree with its landmarks, so that
             mirrored pictures share their pixels with the originals. ``source`` then names the crop.
         source: (N,) index into ``crops``.
+        pivots: (N, 2) centres of the face boxes in crop pixels, about which starts are turned.
     """
 
     crops: UInt8[np.ndarray, "crops height width"]
     landmarks: Float[np.ndarray, "faces landmarks 2"]
     mirrored: Bool[np.ndarray, "faces"]
     source: np.ndarray
+    pivots: Float[np.ndarray, "faces 2"]
 
 
-def sample_starts(key: Array, count: int, frame: Frame, spread: Spread) -> Start:
-    """``count`` Monte Carlo starts around the middle of the crop."""
+def sample_starts(key: Array, count: int, frame: Frame, spread: Spread, turn: Scalar, pivot: Point) -> Start:
+    """``count`` Monte Carlo starts around the middle of the crop, turned about a point of it by up to ``turn`` radians,
+    evenly in both directions."""
     shift, scale, rotation = random.split(key, 3)
     sigma = jnp.asarray(spread.shift) * frame.face
-    return Start(
+    starts = Start(
         centre=frame.middle + sigma * random.normal(shift, (count, 2)),
         scale=jnp.exp(spread.log_scale * random.normal(scale, (count,))),
         rotation=spread.rotation * random.normal(rotation, (count,)),
     )
+    turns = random.uniform(random.fold_in(rotation, 1), (count,), minval=-turn, maxval=turn)
+    return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
-@partial(jax.jit, static_argnames=("count", "frame", "spread"))
+@partial(jax.jit, static_argnames=("descriptor", "count", "frame", "spread"))
 def _draw(
-    space: ShapeSpace, keys: Array, count: int, frame: Frame, spread: Spread
-) -> Float[Array, "faces augmentations params"]:
-    return vmap(lambda key: vmap(space.place)(sample_starts(key, count, frame, spread)))(keys)
+    descriptor: Descriptor,
+    space: ShapeSpace,
+    keys: Array,
+    pivots: Array,
+    count: int,
+    frame: Frame,
+    spread: Spread,
+    turn: Scalar,
+) -> State:
+    """States (faces, augmentations) to start from."""
+
+    def face(key: Array, pivot: Point) -> State:
+        starts = sample_starts(key, count, frame, spread, turn, pivot)
+        return vmap(lambda start: state_of(descriptor, space, space.place(start)))(starts)
+
+    return vmap(face)(keys, pivots)
 
 
 def _describe(
@@ -84,15 +102,15 @@ def _describe(
     space: ShapeSpace,
     crops: UInt8[Array, "faces height width"],
     mirrored: Bool[Array, "faces"],
-    states: Float[Array, "faces augmentations params"],
+    states: State,
     window: Scalar,
 ) -> Float[Array, "faces augmentations features"]:
-    def face(inputs: tuple[Array, Array, Array]) -> Array:
+    def face(inputs: tuple[Array, Array, State]) -> Array:
         crop, flip, states = inputs
         prepared = descriptor.prepare(jnp.where(flip, crop[:, ::-1], crop))
         return vmap(lambda state: features_at(descriptor, space, prepared, state, window))(states)
 
-    return lax.map(face, (crops, mirrored, states), batch_size=FACES_AT_ONCE)
+    return lax.map(face, (crops, mirrored, states), batch_size=SAMPLED_AT_ONCE)
 
 
 _describe_batch = jax.jit(_describe, static_argnames="descriptor")
@@ -106,29 +124,30 @@ def _observe(
     moments: Moments,
     crops: Array,
     mirrored: Array,
-    states: Array,
-    targets: Array,
+    states: State,
+    targets: State,
     valid: Array,
     window: Scalar,
 ) -> tuple[Moments, Float[Array, "faces augmentations kept"]]:
     """The moments with a batch added, and the batch's principal components."""
     features = _describe(descriptor, space, crops, mirrored, states, window)
     reduced = (features - projection.mean) @ projection.axes
-    steps = vmap(lambda target, states: vmap(lambda state: space.difference(target, state))(states))(targets, states)
-    weights = jnp.repeat(valid.astype(jnp.float32), states.shape[1])
+    steps = vmap(lambda target, states: vmap(lambda state: step_to(space, target, state))(states))(targets, states)
+    weights = jnp.repeat(valid.astype(jnp.float32), reduced.shape[1])
     moments = moments.add(reduced.reshape(-1, reduced.shape[-1]), steps.reshape(-1, steps.shape[-1]), weights)
     return moments, reduced
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="descriptor")
 def _advance(
+    descriptor: Descriptor,
     space: ShapeSpace,
-    states: Float[Array, "faces augmentations params"],
+    states: State,
     reduced: Float[Array, "faces augmentations kept"],
     weights: Float[Array, "kept params"],
     bias: Float[Array, "params"],
-) -> Float[Array, "faces augmentations params"]:
-    return vmap(vmap(space.advance))(states, reduced @ weights + bias)
+) -> State:
+    return vmap(vmap(partial(advanced, descriptor, space)))(states, reduced @ weights + bias)
 
 
 @jax.jit
@@ -151,6 +170,7 @@ def train_cascade(
     variance: float,
     ridge: float,
     seed: int,
+    turn: float = 0.0,
     progress: Progress = lambda stage, done, total: None,
 ) -> Cascade:
     """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
@@ -170,6 +190,7 @@ def train_cascade(
         variance: share of variance that the PCA of the features keeps, in (0, 1].
         ridge: ridge strength, relative to the mean variance of a kept component.
         seed: of the starts; the same seed, machine and number of cores give the same bits.
+        turn: by how many radians more, at most, the starts are turned, evenly in both directions.
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
@@ -186,8 +207,10 @@ def train_cascade(
     size = max(1, min(_BATCH // augmentations, count))
     total = -(-count // size)
     keys = random.split(random.key(seed), count + 1)
-    targets = np.asarray(vmap(space.encode)(jnp.asarray(faces.landmarks, jnp.float32)))
+    encode = jax.jit(vmap(lambda landmarks: target_of(descriptor, space, landmarks)))
+    targets = encode(jnp.asarray(faces.landmarks, jnp.float32))
     states = np.empty((count, augmentations, space.size), np.float32)
+    angles = np.empty((count, augmentations), np.float32)
     layers = []
 
     def batches(stage: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -202,6 +225,12 @@ def train_cascade(
     def pixels(rows: np.ndarray) -> tuple[Array, Array]:
         return jnp.asarray(faces.crops[faces.source[rows]]), jnp.asarray(faces.mirrored[rows])
 
+    def taken(rows: np.ndarray) -> State:
+        return State(jnp.asarray(states[rows]), jnp.asarray(angles[rows]))
+
+    def put(rows: np.ndarray, new: State) -> None:
+        states[rows], angles[rows] = new.params, new.angle
+
     def project(stage: str, window: Scalar) -> Projection:
         """Principal axes of the features of samples spread evenly over a random order of the faces."""
         each = min(augmentations, max(1, _PCA_SAMPLES // count))
@@ -211,12 +240,13 @@ def train_cascade(
             progress(stage, first, len(chosen))
             rows = np.resize(chosen[first : first + size], size)
             crops, flips = pixels(rows)
-            batch = _describe_batch(descriptor, space, crops, flips, jnp.asarray(states[rows]), window)
+            batch = _describe_batch(descriptor, space, crops, flips, taken(rows), window)
             seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
         return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
 
     for rows, _ in batches("drawing starts"):
-        states[rows] = _draw(space, keys[rows], augmentations, frame, spread)
+        pivots = jnp.asarray(faces.pivots[rows])
+        put(rows, _draw(descriptor, space, keys[rows], pivots, augmentations, frame, spread, jnp.float32(turn)))
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
         window = jnp.float32(share * frame.face)
@@ -226,8 +256,9 @@ def train_cascade(
         with tempfile.TemporaryFile() as components:
             for rows, valid in batches(f"{step}: features"):
                 crops, flips = pixels(rows)
+                here, there = taken(rows), State(targets.params[rows], targets.angle[rows])
                 moments, reduced = _observe(
-                    descriptor, space, projection, moments, crops, flips, states[rows], targets[rows], valid, window
+                    descriptor, space, projection, moments, crops, flips, here, there, valid, window
                 )
                 components.write(np.asarray(reduced).tobytes())
             weights, bias = solve(moments, jnp.float32(ridge))
@@ -235,7 +266,7 @@ def train_cascade(
             components.seek(0)
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
                 reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
-                states[rows] = _advance(space, states[rows], reduced, weights, bias)
+                put(rows, _advance(descriptor, space, taken(rows), reduced, weights, bias))
     return Cascade(
         space=space,
         weights=jnp.asarray(np.stack([weights for weights, _ in layers])),

@@ -1,26 +1,29 @@
 """Arguments that several commands share, and how their values are read."""
 
 import argparse
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxfit.data.boxes import read_boxes
-from jaxfit.data.datasets import FORMATS, read_dataset
+from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.records import Dataset
-from jaxfit.descriptors.sift import Sift
+from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.shapes.schemes import Scheme
-from jaxfit.training import METHODS, Options
+from jaxfit.shapes.schemes import SCHEMES, Scheme, scheme_named
+from jaxfit.training import METHODS, Options, default_descriptor
 
 _DEFAULT = Options()
 
 
 def add_datasets(command: argparse.ArgumentParser) -> None:
-    """``--data SPEC...``."""
+    """``--data SPEC...`` and ``--scheme NAME``."""
     command.add_argument(
         "--data",
         nargs="+",
@@ -28,6 +31,7 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         metavar="SPEC",
         help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}",
     )
+    command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
 
 
 def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
@@ -59,9 +63,34 @@ def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[n
     return read_boxes(arguments.boxes)
 
 
+def add_initialisations(command: argparse.ArgumentParser, about: str) -> None:
+    """``--initialisations K`` and ``--rotations LOW HIGH``."""
+    command.add_argument(
+        "--initialisations",
+        type=int,
+        default=_DEFAULT.initialisations,
+        metavar="K",
+        help=f"{about}; one, or three or more",
+    )
+    command.add_argument(
+        "--rotations",
+        type=float,
+        nargs=2,
+        default=_DEFAULT.rotations,
+        metavar=("LOW", "HIGH"),
+        help="degrees, clockwise as seen, that the rotations of several initialisations cover evenly",
+    )
+
+
+def untrained_starts(name: str, model: Model, initialisations: int) -> list[str]:
+    """What to say where several starts are asked for of a model that was trained for one."""
+    if initialisations == 1 or model.training.get("initialisations", 1) > 1:
+        return []
+    return [f"{name} was trained for one initialisation: of its fits from turned starts none may be right"]
+
+
 def add_training(command: argparse.ArgumentParser) -> None:
-    """``--method`` and the options of training."""
-    command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
+    """The options of training, whatever the method."""
     command.add_argument(
         "--windows",
         type=float,
@@ -75,33 +104,101 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--variance", type=float, default=_DEFAULT.variance, help="share kept by the features' PCA")
     command.add_argument("--ridge", type=float, default=_DEFAULT.ridge, help="ridge strength; 0 is least squares")
     command.add_argument("--spread", type=float, default=_DEFAULT.spread, help="factor on the spread of the starts")
+    command.add_argument(
+        "--shape-variance", type=float, default=_DEFAULT.shape_variance, help="share kept by the shape model's PCA"
+    )
+    command.add_argument(
+        "--sigmas",
+        type=float,
+        default=_DEFAULT.sigmas,
+        help="radius of the ellipsoid that shape coefficients stay in; unless given it holds 99.7 %% of normal faces",
+    )
+    add_initialisations(command, "how many starts fitting shall use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument(
-        "--orientation", choices=("upright", "principal"), default=Sift().orientation, help="of windows"
+        "--orientation",
+        choices=ORIENTATIONS,
+        help="of windows; unless said otherwise they turn with the face for the parametric method and for several "
+        "initialisations, and are upright else; in upright ones turned faces are not found",
     )
-    command.add_argument(
-        "--normalisation", choices=("cell", "vector"), default=Sift().normalisation, help="of descriptors"
-    )
+    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of descriptors; vector unless said otherwise")
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
     command.add_argument("--face", type=float, default=Frame().face, help="side of the face in them, in pixels")
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
 
 
-def training_options(arguments: argparse.Namespace, scheme: Scheme) -> Options:
+def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
     """The options of training that the command line gives; faces of unknown landmarks are not mirrored."""
+    described = {"orientation": arguments.orientation, "normalisation": arguments.normalisation}
+    described = {name: value for name, value in described.items() if value is not None}
+    usual: Any = default_descriptor(method, arguments.initialisations)
+    descriptor = replace(usual, **described) if described else None
     return Options(
         windows=tuple(arguments.windows),
         augmentations=arguments.augmentations,
         variance=arguments.variance,
         ridge=arguments.ridge,
         spread=arguments.spread,
+        initialisations=arguments.initialisations,
+        rotations=tuple(arguments.rotations),
+        shape_variance=arguments.shape_variance,
+        sigmas=arguments.sigmas,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
         haar=not arguments.no_haar,
         seed=arguments.seed,
-        descriptor=Sift(arguments.orientation, arguments.normalisation),
+        descriptor=descriptor,
         frame=Frame(arguments.crop, arguments.face),
     )
+
+
+def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Options]:
+    """The method and the options that ``NAME`` or ``NAME:key=value,key=value`` asks for.
+
+    A key is the name of an option, of a number of the frame or of a choice of the descriptor; what has no key is as
+    ``otherwise(method)`` has it. Several numbers are separated by commas too: ``windows=0.4,0.3``.
+
+    Raises:
+        InputError: an unknown method or key, or a value that the option cannot have.
+    """
+    method, colon, rest = text.partition(":")
+    if method not in METHODS:
+        raise InputError(f"--method {text}: expected a method among {', '.join(METHODS)}; got {method!r}")
+    # A comma before key= ends a value, any other is inside one.
+    texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
+    options = otherwise(method)
+    descriptor = options.descriptor or default_descriptor(method, options.initialisations)
+    parts: dict[str, Any] = {"descriptor": descriptor, "frame": options.frame}
+    known = {key: value for key, value in vars(options).items() if key not in parts}
+    for part in parts.values():
+        known |= vars(part)
+    for key in texts:
+        if key not in known:
+            raise InputError(f"--method {text}: expected key=value with a key among {', '.join(known)}; got {key!r}")
+    try:
+        values = {key: _read_like(known[key], key, given) for key, given in texts.items()}
+        of_parts = {name: {key: values.pop(key) for key in vars(part) if key in values} for name, part in parts.items()}
+        options = replace(options, **values)
+        # Not before: what is the default may depend on the other options.
+        parts["descriptor"] = options.descriptor or default_descriptor(method, options.initialisations)
+        changed = {name: replace(parts[name], **keys) for name, keys in of_parts.items() if keys}
+        return method, replace(options, **changed)
+    except InputError as error:
+        raise InputError(f"--method {text}: {error}") from None
+
+
+def _read_like(default: Any, key: str, text: str) -> Any:
+    """What ``text`` says, in the type of ``default``."""
+    try:
+        if default is None:  # of which there is one: the radius of the ellipsoid
+            return None if text == "None" else float(text)
+        if isinstance(default, bool):
+            return {"true": True, "false": False}[text.lower()]
+        if isinstance(default, tuple):
+            return tuple(map(float, text.split(",")))
+        return type(default)(text)
+    except (KeyError, ValueError):
+        raise InputError(f"expected {key} to be like {default}; got {text!r}") from None
 
 
 def seed(text: str) -> int:
@@ -112,16 +209,33 @@ def seed(text: str) -> int:
     return number
 
 
-def read_datasets(specs: Sequence[str]) -> list[Dataset]:
-    """The datasets that ``--data`` names.
+def read_datasets(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
+    """The datasets that ``--data`` names, their labels converted to the scheme of ``--scheme`` unless that is None.
 
     Raises:
-        InputError: one is named twice.
+        InputError: one is named twice, or its labels cannot be converted.
         DatasetError: one cannot be read.
     """
     if len(set(specs)) < len(specs):
         raise InputError(f"--data: expected each dataset once; got {' '.join(specs)}")
-    return [read_dataset(spec) for spec in specs]
+    datasets = [read_dataset(spec) for spec in specs]
+    return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
+
+
+def shared_scheme(datasets: Sequence[Dataset]) -> Scheme:
+    """The landmark scheme of all datasets.
+
+    Raises:
+        InputError: they have several.
+    """
+    first = datasets[0]
+    for other in datasets[1:]:
+        if other.scheme != first.scheme:
+            raise InputError(
+                f"datasets must share their landmarks: {first.spec} has {first.scheme.name}, {other.spec} has "
+                f"{other.scheme.name}; --scheme can convert some"
+            )
+    return first.scheme
 
 
 def out_folder(path: str) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_boxes, given_boxes, out_folder
+from jaxfit.cli.arguments import add_boxes, add_initialisations, given_boxes, out_folder, untrained_starts
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import find_images, read_image, write_image
@@ -51,6 +51,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument("pictures", nargs="+", metavar="IMAGE_OR_DIR", help="pictures, or folders of pictures")
     command.add_argument("--model", default="sdm68", help="a bundled model's name or a model file (default: sdm68)")
     add_boxes(command, "faces are found by OpenCV's frontal and profile Haar cascades")
+    add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.set_defaults(run=run)
 
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
                     faces += _faces(picture, names[picture], boxes, options.box_kind)
                 except ImageError as error:
                     problems.append(str(error))
-            fitted, complaints = _fit(model, faces)
+            fitted, complaints = _fit(model, faces, options.initialisations, tuple(options.rotations))
             problems += complaints + _write(folder, model, fitted)
             rows += [_row(face, landmarks) for face, landmarks in fitted]
         bars("fitting pictures", len(pictures), len(pictures))
@@ -88,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if boxes is not None and (unused := boxes.keys() - {picture.name for picture in pictures}):
         problems.append(f"{options.boxes}: rows for {len(unused)} files that were not given, such as {min(unused)}")
-    report_problems(problems)
+    report_problems(untrained_starts(options.model, model, options.initialisations) + problems)
     print(f"pictures: {len(pictures)}, faces fitted: {len(rows)}, model: {options.model}")
     print(f"written: {folder / 'landmarks.csv'}, {folder / 'pts'}, {folder / 'overlays'}")
     return 0 if rows else 1
@@ -119,12 +120,15 @@ def _faces(picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] |
     return [_Face(picture, name, number, box_kind, box, rgb) for number, (box, box_kind) in enumerate(found, 1)]
 
 
-def _fit(model: Model, faces: Sequence[_Face]) -> tuple[list[tuple[_Face, np.ndarray]], list[str]]:
+def _fit(
+    model: Model, faces: Sequence[_Face], initialisations: int, rotations: tuple[float, float]
+) -> tuple[list[tuple[_Face, np.ndarray]], list[str]]:
     """The faces that could be fitted with their landmarks (L, 2), and what was wrong with the others."""
     # A model that was trained where a detector found too few faces does not know how its boxes lie.
     kinds = [face.kind if face.kind in model.placements else SQUARE for face in faces]
     boxes = np.array([face.box for face in faces]).reshape(-1, 4)
-    fits = fit(model, [face.rgb for face in faces], boxes, kind=kinds)
+    pictures = [face.rgb for face in faces]
+    fits = fit(model, pictures, boxes, kind=kinds, initialisations=initialisations, rotations=rotations)
     fitted = [(faces[i], fits.landmarks[i]) for i in range(len(faces)) if fits.ok[i]]
     return fitted, [f"{faces[i].picture}: {why}" for i, why in fits.problems.items()]
 

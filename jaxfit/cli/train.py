@@ -4,11 +4,18 @@ import argparse
 import os
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, training_options
+from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, shared_scheme, training_options
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.exceptions import InputError
 from jaxfit.models.files import SUFFIX, save
-from jaxfit.training import train
+from jaxfit.training import METHODS, train
+
+
+class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Says the defaults of options that have one."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        return action.help if action.default is None else super()._get_help_string(action)
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -17,10 +24,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "train",
         help="learn a model from labelled faces",
         description="Learn a model from labelled faces. Faces with missing landmarks are left out and counted.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=_Defaults,
     )
     add_datasets(command)
     command.add_argument("--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write")
+    command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
     add_training(command)
     command.set_defaults(run=run)
 
@@ -33,20 +41,14 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {out}"
         )
-    datasets = read_datasets(options.data)
-    scheme = datasets[0].scheme
-    for dataset in datasets[1:]:
-        if dataset.scheme != scheme:
-            raise InputError(
-                f"datasets must share their landmarks: {datasets[0].spec} has {scheme.name}, "
-                f"{dataset.spec} has {dataset.scheme.name}"
-            )
+    datasets = read_datasets(options.data, options.scheme)
+    scheme = shared_scheme(datasets)
     with Bars() as bars:
         trained = train(
             [face for dataset in datasets for face in dataset.faces],
             scheme,
             method=options.method,
-            options=training_options(options, scheme),
+            options=training_options(options, scheme, options.method),
             progress=bars,
         )
     save(trained.model, out)

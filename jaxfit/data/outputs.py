@@ -1,6 +1,7 @@
 """Writing files whole or not at all: a crash, a full disk or Ctrl-C never leaves half a file under the final name."""
 
 import csv
+import json
 import os
 import secrets
 from collections.abc import Iterable, Iterator, Sequence
@@ -9,6 +10,22 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 from jaxfit.exceptions import InputError
+
+
+def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:
+    """Write the settings (JSON values) of a folder of results to ``path``, or compare them with those written before.
+
+    Raises:
+        InputError: they differ: results of different settings must not be mixed.
+    """
+    path = Path(path)
+    settings = json.loads(json.dumps(settings))
+    if not path.exists():
+        with atomic_write(path, "w") as file:
+            json.dump(settings, file, indent=2)
+    elif (before := json.loads(path.read_text(encoding="utf-8"))) != settings:
+        changed = sorted(k for k in {**before, **settings} if before.get(k) != settings.get(k))
+        raise InputError(f"{path.parent} holds results of other settings ({', '.join(changed)}); use another --out")
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jax import lax
@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxfit.exceptions import InputError
-from jaxfit.image.sampling import bilinear, bilinear_grid
+from jaxfit.image.sampling import Packed, bilinear, bilinear_grid, pack
 from jaxfit.image.smoothing import smooth
 from jaxfit.types import Crop, Features, Picture, Point, Scalar
 
@@ -18,6 +18,8 @@ SAMPLES = 32  # along a window's side, whatever its size in pixels
 CELLS = 4
 BINS = 8
 ORIENTATION_BINS = 36
+ORIENTATIONS = ("upright", "face", "principal")
+NORMALISATIONS = ("cell", "vector")
 _WEIGHT_SIGMA = SAMPLES / 2
 _OFFSETS = np.arange(SAMPLES) - (SAMPLES - 1) / 2
 _FRAMED = np.arange(-1, SAMPLES + 1) - (SAMPLES - 1) / 2  # one sample more on each side, for central differences
@@ -27,24 +29,32 @@ Samples = Float[Array, "32 32"]
 Window = Float[Array, "34 34"]
 
 
+class Prepared(NamedTuple):
+    """A smoothed crop, ready for upright windows, and packed for turned ones."""
+
+    smoothed: Picture
+    packed: Packed
+
+
 @dataclass(frozen=True)
 class Sift:
     """Simplified SIFT; the defaults are what the cascade uses best, not what the thesis prints.
 
     Attributes:
-        orientation: ``"principal"`` rotates the window by the landmark's principal gradient orientation (thesis 3.1);
-            ``"upright"`` keeps the picture's axes (the original SDM).
+        orientation: ``"upright"`` keeps the picture's axes (the original SDM); ``"face"`` turns the window with the
+            face, by the rotation of its current state; ``"principal"`` turns it by the landmark's principal gradient
+            orientation (thesis 3.1), which turns with the face, too.
         normalisation: ``"cell"`` makes each cell's histogram sum to 1 (thesis 3.1); ``"vector"`` gives the whole
             vector Euclidean length 1 (Lowe).
     """
 
-    orientation: Literal["upright", "principal"] = "upright"
+    orientation: Literal["upright", "face", "principal"] = "upright"
     normalisation: Literal["cell", "vector"] = "vector"
 
     def __post_init__(self) -> None:
-        if self.orientation not in ("upright", "principal") or self.normalisation not in ("cell", "vector"):
+        if self.orientation not in ORIENTATIONS or self.normalisation not in NORMALISATIONS:
             raise InputError(
-                "expected orientation 'upright' or 'principal' and normalisation 'cell' or 'vector'; got "
+                f"expected an orientation among {', '.join(ORIENTATIONS)} and normalisation 'cell' or 'vector'; got "
                 f"{self.orientation!r} and {self.normalisation!r}"
             )
 
@@ -53,21 +63,35 @@ class Sift:
         """Length of one landmark's vector."""
         return CELLS * CELLS * BINS
 
-    def prepare(self, crop: Crop) -> Picture:
-        """The crop, smoothed by σ = 1.6 pixels."""
-        return smooth(crop.astype(jnp.float32))
+    @property
+    def turns(self) -> bool:
+        """Whether the window turns with the face."""
+        return self.orientation != "upright"
 
-    def describe(self, prepared: Picture, point: Point, side: Scalar) -> Features:
+    def prepare(self, crop: Crop) -> Prepared:
+        """The crop, smoothed by σ = 1.6 pixels."""
+        smoothed = smooth(crop.astype(jnp.float32))
+        return Prepared(smoothed, pack(smoothed))
+
+    def describe(self, prepared: Prepared, point: Point, side: Scalar, angle: Scalar) -> Features:
         """The (128,) descriptor at ``point`` in a window of ``side`` pixels: 4 × 4 cells (rows first) × 8 bins.
 
         The 32 × 32 samples are spread over the window whatever its size, and differences are taken between
         neighbouring samples: a picture twice as large, in a window twice as large, has the same descriptor.
         """
         spacing = side / SAMPLES
-        window = upright_window(prepared, point, spacing)
-        if self.orientation == "principal":
-            window = rotated_window(prepared, point, spacing, principal_orientation(window))
+        if self.turns:
+            turn = self.window_angle(prepared, point, side, angle)
+            window = rotated_window(prepared.packed, point, spacing, turn)
+        else:
+            window = upright_window(prepared.smoothed, point, spacing)
         return normalise(cell_histograms(window), self.normalisation)
+
+    def window_angle(self, prepared: Prepared, point: Point, side: Scalar, angle: Scalar) -> Scalar:
+        """How far the window of ``describe`` is turned, in radians, clockwise as seen."""
+        if self.orientation == "principal":
+            return principal_orientation(upright_window(prepared.smoothed, point, side / SAMPLES))
+        return angle if self.turns else jnp.zeros(())
 
 
 def upright_window(picture: Picture, point: Point, spacing: Scalar) -> Window:
@@ -76,7 +100,7 @@ def upright_window(picture: Picture, point: Point, spacing: Scalar) -> Window:
     return bilinear_grid(picture, point[0] + offsets, point[1] + offsets)
 
 
-def rotated_window(picture: Picture, point: Point, spacing: Scalar, angle: Scalar) -> Window:
+def rotated_window(packed: Packed, point: Point, spacing: Scalar, angle: Scalar) -> Window:
     """The same along axes rotated by ``angle`` radians (Eq. 5).
 
     Positive angles turn the x axis towards the y axis, which is clockwise as seen, ``y`` being down.
@@ -85,7 +109,7 @@ def rotated_window(picture: Picture, point: Point, spacing: Scalar, angle: Scala
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x = point[0] + offsets[None, :] * cos - offsets[:, None] * sin
     y = point[1] + offsets[None, :] * sin + offsets[:, None] * cos
-    return bilinear(picture, x, y)
+    return bilinear(packed, x, y)
 
 
 def gradients(window: Window) -> tuple[Samples, Samples]:

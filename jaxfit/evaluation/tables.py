@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxfit.evaluation.curves import LIMIT
-from jaxfit.evaluation.statistics import summarise
+from jaxfit.evaluation.statistics import rank_sum, signed_rank, summarise
 
 Row = Mapping[str, object]
 
@@ -22,6 +22,9 @@ SUMMARY_COLUMNS = {
     f"failure@{LIMIT:g}": ".3f",
 }
 
+# The columns of a table of differences between methods, whose rows ``comparison_row`` makes.
+COMPARISON_COLUMNS = {"faces": "d", "difference of medians": "+.1%", "rank-sum p": ".2g", "signed-rank p": ".2g"}
+
 
 def summary_row(errors: np.ndarray) -> dict[str, object]:
     """The row of ``SUMMARY_COLUMNS`` for errors (N,): the mean is over fitted faces, the last three count failures."""
@@ -29,6 +32,23 @@ def summary_row(errors: np.ndarray) -> dict[str, object]:
     counts = (summary.faces, summary.failed, summary.unmeasured)
     values = (summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
     return dict(zip(SUMMARY_COLUMNS, counts + values, strict=True))
+
+
+def comparison_row(errors: np.ndarray, baseline: np.ndarray) -> dict[str, object]:
+    """The row of ``COMPARISON_COLUMNS`` for errors (N,) of a method and a baseline's (N,) on the same faces.
+
+    Faces that either could not measure (NaN) are left out; a failure (``inf``) is the worst of errors.
+
+    Raises:
+        InputError: the errors are not vectors of one length.
+    """
+    paired_p = signed_rank(errors, baseline)
+    measured = ~(np.isnan(errors) | np.isnan(baseline))
+    errors, baseline = errors[measured], baseline[measured]
+    with np.errstate(divide="ignore", invalid="ignore"):  # medians of no face, of failures, or zero
+        difference = float(np.divide(summarise(errors).median, summarise(baseline).median)) - 1
+    values = (errors.size, difference, rank_sum(errors, baseline), paired_p)
+    return dict(zip(COMPARISON_COLUMNS, values, strict=True))
 
 
 def text_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:

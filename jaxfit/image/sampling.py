@@ -5,6 +5,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxfit.types import Picture
 
+Packed = Float[Array, "height width 4"]
+
 
 def _split(coordinates: Float[Array, "*samples"], size: int) -> tuple[Int[Array, "*samples"], Float[Array, "*samples"]]:
     """The pixel at or before each coordinate, and how far towards the next one it lies, in [0, 1]."""
@@ -14,27 +16,28 @@ def _split(coordinates: Float[Array, "*samples"], size: int) -> tuple[Int[Array,
     return before, coordinates - before
 
 
-def bilinear(picture: Picture, x: Float[Array, "*samples"], y: Float[Array, "*samples"]) -> Float[Array, "*samples"]:
-    """Values of ``picture`` at any points ``(x, y)``, in pixels with centres at integers."""
-    height, width = picture.shape
+def pack(picture: Picture) -> Packed:
+    """Each pixel with its neighbours to the right, below, and below right: what ``bilinear`` looks up at once."""
+    padded = jnp.pad(picture, ((0, 1), (0, 1)), mode="edge")
+    return jnp.stack([padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]], -1)
+
+
+def bilinear(packed: Packed, x: Float[Array, "*samples"], y: Float[Array, "*samples"]) -> Float[Array, "*samples"]:
+    """Values of a picture, given as ``pack(picture)``, at any points ``(x, y)``, in pixels with centres at integers."""
+    height, width, _ = packed.shape
     left, right_share = _split(x, width)
     top, bottom_share = _split(y, height)
-    flat = picture.reshape(-1)
-    corner = top * width + left
-
-    def pixel(offset: int) -> Float[Array, "*samples"]:
-        # Clipped above, so the bounds check that XLA would add to every look-up is not needed.
-        return flat.at[corner + offset].get(mode="promise_in_bounds")
-
-    upper = pixel(0) + right_share * (pixel(1) - pixel(0))
-    lower = pixel(width) + right_share * (pixel(width + 1) - pixel(width))
+    # Clipped above, so the bounds check that XLA would add to every look-up is not needed.
+    four = packed.reshape(-1, 4).at[top * width + left].get(mode="promise_in_bounds")
+    upper = four[..., 0] + right_share * (four[..., 1] - four[..., 0])
+    lower = four[..., 2] + right_share * (four[..., 3] - four[..., 2])
     return upper + bottom_share * (lower - upper)
 
 
 def bilinear_grid(
     picture: Picture, x: Float[Array, "columns"], y: Float[Array, "rows"]
 ) -> Float[Array, "rows columns"]:
-    """Values of ``picture`` on the upright grid of all ``(x[j], y[i])``: what ``bilinear`` gives, four times faster.
+    """Values of ``picture`` on the upright grid of all ``(x[j], y[i])``: what ``bilinear`` gives, faster.
 
     On such a grid the interpolation separates, so that whole rows of pixels are looked up at once.
     """

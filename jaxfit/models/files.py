@@ -7,7 +7,6 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -25,7 +24,6 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.shapes import SPACES
 from jaxfit.shapes.schemes import scheme_named
-from jaxfit.shapes.space import Start
 
 FORMAT = 1
 SUFFIX = ".safetensors"
@@ -57,12 +55,11 @@ def save(model: Model, path: str | Path) -> None:
     if path.suffix != SUFFIX or not path.parent.is_dir():
         raise InputError(f"expected a file name ending in {SUFFIX} in a folder that exists; got {path}")
     cascade = model.cascade
-    space = vars(cascade.space)
     tensors: dict[str, np.ndarray] = {
         "weights": _half(cascade.weights),
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
-        **{f"space.{name}": np.asarray(value, np.float32) for name, value in space.items()},
+        **_arrays("space", cascade.space),
     }
     header = {
         "format": FORMAT,
@@ -138,16 +135,10 @@ def _parse(data: bytes) -> Model:
 
 
 def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
-    space_class = SPACES[header["space"]]
-    space = space_class(
-        **{
-            field.name: jnp.asarray(tensors[f"space.{field.name}"], jnp.float32)
-            for field in dataclasses.fields(space_class)
-        }
-    )
+    count = scheme_named(header["scheme"]).count
+    space = _assembled("space", SPACES[header["space"]], tensors, {"landmarks": count})
     options = dict(header["descriptor"])
     descriptor = DESCRIPTORS[options.pop("kind")](**options)
-    count = scheme_named(header["scheme"]).count
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
     expected = {"weights": (steps, features, params), "biases": (steps, params), "windows": (steps,)}
     for name, shape in expected.items():
@@ -158,10 +149,6 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
             raise ModelError(f"damaged: {name} has values that are not finite 16- or 32-bit numbers")
     if not (tensors["windows"] > 0).all():
         raise ModelError("damaged: descriptor windows must be larger than 0")
-    start = Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))
-    placed = jax.eval_shape(lambda: space.landmarks(space.place(start)))
-    if placed.shape != (count, 2):
-        raise ModelError(f"damaged: its faces are of shape {placed.shape}, expected {(count, 2)}")
     return Cascade(
         space=space,
         weights=jnp.asarray(tensors["weights"], jnp.float32),
@@ -170,6 +157,27 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         descriptor=descriptor,
         frame=Frame(**header["frame"]),
     )
+
+
+def _arrays(name: str, part: Any) -> dict[str, np.ndarray]:
+    """The arrays of a shape space by name; a dataclass in it gives its own fields."""
+    if not dataclasses.is_dataclass(part):
+        return {name: np.asarray(part, np.float32)}
+    return {
+        key: array for field, value in vars(part).items() for key, array in _arrays(f"{name}.{field}", value).items()
+    }
+
+
+def _assembled(name: str, kind: Any, tensors: dict[str, np.ndarray], sizes: dict[str, int]) -> Any:
+    """A shape space of class ``kind`` from the arrays that ``_arrays`` gives; ``sizes`` are those of its dimensions."""
+    if hasattr(kind, "__dataclass_fields__"):
+        fields = dataclasses.fields(kind)
+        return kind(**{field.name: _assembled(f"{name}.{field.name}", field.type, tensors, sizes) for field in fields})
+    shape, dimensions = tensors[name].shape, kind.dim_str.split()
+    expected = [int(d) if d.isdecimal() else sizes.setdefault(d, n) for d, n in zip(dimensions, shape, strict=False)]
+    if len(shape) != len(dimensions) or list(shape) != expected:
+        raise ModelError(f"damaged: {name} has shape {shape}, expected ({', '.join(dimensions)}) with {sizes}")
+    return jnp.asarray(tensors[name], jnp.float32)
 
 
 def _half(weights: Array) -> np.ndarray:

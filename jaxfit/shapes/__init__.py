@@ -1,6 +1,7 @@
 """Coordinate systems for faces, and what their landmarks mean."""
 
 from jaxfit.shapes.points import PointSpace
+from jaxfit.shapes.similarity import SimilarityASM
 
 # What model files call the shape spaces; a new one is a line here, and one in ``jaxfit.training.METHODS``.
-SPACES = {"points": PointSpace}
+SPACES = {"points": PointSpace, "similarity-asm": SimilarityASM}

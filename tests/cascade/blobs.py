@@ -8,9 +8,11 @@ from scipy import ndimage
 
 from jaxfit.cascade.train import Spread, TrainingSet
 from jaxfit.image.frame import Frame
-from jaxfit.image.sampling import bilinear_grid
+from jaxfit.image.sampling import bilinear, pack
 from jaxfit.image.smoothing import smooth
 from jaxfit.shapes.points import PointSpace
+from jaxfit.shapes.similarity import learn_similarity_asm
+from jaxfit.shapes.space import rotate
 
 FRAME = Frame(crop=48, face=24.0)
 MEAN = np.array([[-12, -12], [12, -12], [-8, 12], [8, 12]], np.float32)
@@ -22,6 +24,7 @@ SPREAD = Spread(shift=(0.08, 0.08), log_scale=0.05, rotation=0.1)
 class Patch:
     """The picture itself at a few points around the landmark: a descriptor that compiles fast."""
 
+    turns: bool = False
     samples: int = 3
 
     @property
@@ -29,11 +32,13 @@ class Patch:
         return self.samples**2
 
     def prepare(self, crop):
-        return smooth(crop.astype(jnp.float32)) / 255
+        return pack(smooth(crop.astype(jnp.float32)) / 255)
 
-    def describe(self, prepared, point, side):
-        offsets = side * jnp.linspace(-0.5, 0.5, self.samples)
-        return bilinear_grid(prepared, point[0] + offsets, point[1] + offsets).reshape(-1)
+    def describe(self, prepared, point, side, angle):
+        line = side * jnp.linspace(-0.5, 0.5, self.samples)
+        grid = jnp.stack(jnp.meshgrid(line, line), -1).reshape(-1, 2)
+        x, y = (rotate(grid, angle * self.turns) + point).T
+        return bilinear(prepared, x, y)
 
 
 def blob_faces(count, seed):
@@ -50,9 +55,15 @@ def blob_faces(count, seed):
     return crops.clip(0, 255).astype(np.uint8), landmarks.astype(np.float32)
 
 
+def shape_model_space(landmarks):
+    """The parametric method's space, learned from faces."""
+    return learn_similarity_asm(jnp.asarray(landmarks), FRAME.face, 0.9, None)
+
+
 def training_set(crops, landmarks):
     """Every crop once, as it is."""
-    return TrainingSet(crops, landmarks, np.zeros(len(crops), bool), np.arange(len(crops)))
+    pivots = np.full((len(crops), 2), FRAME.middle, np.float32)
+    return TrainingSet(crops, landmarks, np.zeros(len(crops), bool), np.arange(len(crops)), pivots)
 
 
 def mean_error(found, landmarks):

@@ -5,12 +5,14 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from blobs import FRAME, MEAN, SPACE, Patch, blob_faces
+from blobs import FRAME, MEAN, SPACE, Patch, blob_faces, shape_model_space
 from jax import numpy as jnp
+from scipy.spatial.transform import Rotation
 
-from jaxfit.cascade.fit import centroid, fit_crops, fit_face, starts_of
+from jaxfit.cascade.fit import centroid, fit_crops, fit_face, start_rotations, starts_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.sift import Sift
+from jaxfit.exceptions import InputError
 from jaxfit.shapes.space import Start
 
 CROPS, _ = blob_faces(4, seed=0)
@@ -44,7 +46,9 @@ def test_is_a_loop_over_steps_and_landmarks():
     for weights, bias, window in zip(CASCADE.weights, CASCADE.biases, CASCADE.windows, strict=True):
         points = params.reshape(4, 2)
         size = np.sqrt(((points - points.mean(0)) ** 2).sum() / (MEAN**2).sum())
-        seen = [CASCADE.descriptor.describe(prepared, jnp.asarray(point), window * size) for point in points]
+        seen = [
+            CASCADE.descriptor.describe(prepared, jnp.asarray(point), window * size, jnp.float32(0)) for point in points
+        ]
         params = params + size * (np.concatenate(seen) @ np.asarray(weights) + np.asarray(bias))
     assert np.abs(params - START).max() > 2
     np.testing.assert_allclose(jax.jit(fit_face)(CASCADE, CROPS[0], START), params, atol=1e-2)
@@ -99,15 +103,81 @@ def test_the_centroid_is_that_of_brute_force(count):
 
 def test_one_stray_fit_is_never_kept():
     candidates = np.zeros((3, 4, 2), np.float32)
-    candidates[0] = 1e4
-    assert int(centroid(jnp.asarray(candidates))) == 1
+    for stray in (1e4, 1e12, 1e25, np.inf, np.nan):
+        candidates[0] = stray
+        assert int(centroid(jnp.asarray(candidates))) == 1
 
 
-def test_starts_lie_in_the_middle_at_the_canonical_size():
-    starts = starts_of(FRAME, jnp.asarray(ROTATIONS))
-    for start, rotation in zip(zip(*starts, strict=True), ROTATIONS, strict=True):
-        np.testing.assert_array_equal(start[0], [23.5, 23.5])
-        assert (start[1], start[2]) == (1, rotation)
+def test_fits_on_their_way_out_drown_no_others():
+    candidates = np.random.default_rng(0).normal(size=(7, 4, 2)).astype(np.float32)
+    expected = 2 + np.argmin(far_apart(candidates[2:]))
+    for stray in (1e10, 1e25):
+        candidates[0], candidates[1] = stray, -stray
+        assert int(centroid(jnp.asarray(candidates))) == expected
+
+
+def test_starts_are_the_middle_one_turned_about_the_pivot():
+    pivot = np.float32([20.0, 31.0])
+    starts = starts_of(FRAME, jnp.asarray(ROTATIONS), jnp.asarray(pivot))
+    for centre, scale, rotation, expected in zip(*starts, ROTATIONS, strict=True):
+        turned = Rotation.from_rotvec([0, 0, float(expected)]).apply([*(23.5 - pivot), 0])[:2]
+        np.testing.assert_allclose(centre, pivot + turned, atol=1e-4)
+        assert (scale, rotation) == (1, expected)
+    np.testing.assert_array_equal(starts.centre[2], [23.5, 23.5])  # not turned, not even rounded
+
+
+@pytest.mark.parametrize("space", [SPACE, shape_model_space(blob_faces(40, seed=3)[1])], ids=["points", "asm"])
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_turned_picture_is_no_harder_for_windows_that_turn(space, quarters):
+    # Quarter turns map pixels onto pixels: the fits are the same, turned.
+    patch, rng = Patch(turns=True), np.random.default_rng(0)
+    cascade = Cascade(
+        space=space,
+        weights=jnp.asarray(rng.normal(size=(3, 4 * patch.size, space.size)) * 0.5, jnp.float32),
+        biases=jnp.zeros((3, space.size)),
+        windows=jnp.asarray([16.0, 12.0, 8.0]),
+        descriptor=patch,
+        frame=FRAME,
+    )
+    turned_crops = np.rot90(CROPS, -quarters, (1, 2)).copy()  # clockwise
+    fits = np.asarray(fit_crops(cascade, CROPS, jnp.float32([0.2])))
+    still = replace(cascade, weights=0 * cascade.weights)
+    assert np.abs(fits - fit_crops(still, CROPS, jnp.float32([0.2]))).max() > 1
+    turn = Rotation.from_rotvec([0, 0, quarters * np.pi / 2]).as_matrix()[:2, :2]
+    found = fit_crops(cascade, turned_crops, jnp.float32([0.2 + quarters * np.pi / 2]))
+    np.testing.assert_allclose(found, (fits - 23.5) @ turn.T + 23.5, atol=0.02)
+
+
+@pytest.mark.parametrize("descriptor", [Patch(), Patch(turns=True)], ids=["upright", "turning"])
+def test_a_face_goes_in_and_out_as_parameters_in_the_crop(descriptor):
+    cascade = replace(random_cascade(descriptor, strength=0.1), biases=jnp.zeros((3, SPACE.size)))
+    start = starts_of(FRAME, jnp.float32([0.7]), jnp.full(2, 23.5))
+    params = SPACE.place(jax.tree.map(lambda part: part[0], start))
+    expected = fit_crops(cascade, CROPS[:1], jnp.float32([0.7]))[0]
+    np.testing.assert_allclose(SPACE.landmarks(jax.jit(fit_face)(cascade, CROPS[0], params)), expected, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("count", "degrees"), [(1, [5]), (4, [-80, -80 + 170 / 3, -80 + 340 / 3, 90]), (5, [-80, -37.5, 5, 47.5, 90])]
+)
+def test_rotations_cover_the_range_evenly(count, degrees):
+    np.testing.assert_allclose(start_rotations(count, (-80.0, 90.0)), np.radians(degrees), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("count", "rotations"),
+    [
+        (0, (-90.0, 90.0)),
+        (2, (-90.0, 90.0)),
+        (3, (-180.0, 200.0)),
+        (3, (90.0, -90.0)),
+        (3, (float("nan"), 90.0)),
+        (3, (-900.0, 90.0)),
+    ],
+)
+def test_impossible_initialisations_are_refused(count, rotations):
+    with pytest.raises(InputError, match="expected one initialisation or at least three"):
+        start_rotations(count, rotations)
 
 
 def test_derivatives_of_the_whole_cascade_are_finite():

@@ -5,11 +5,11 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from blobs import FRAME, MEAN, SPACE, SPREAD, Patch, blob_faces, mean_error, training_set
+from blobs import FRAME, MEAN, SPACE, SPREAD, Patch, blob_faces, mean_error, shape_model_space, training_set
 from jax import numpy as jnp
 
 from jaxfit.cascade import train
-from jaxfit.cascade.fit import fit_crops
+from jaxfit.cascade.fit import State, fit_crops, start_rotations
 from jaxfit.cascade.train import Spread, TrainingSet, sample_starts, train_cascade
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
@@ -53,13 +53,17 @@ def test_learns(descriptor, windows):
 def test_the_first_step_is_ridge_regression_on_the_dense_matrix(monkeypatch):
     landmarks = np.repeat(LANDMARKS[:, None], 4, 1)
     starts = landmarks + np.random.default_rng(0).normal(0, 2, landmarks.shape).astype(np.float32)
-    monkeypatch.setattr(train, "_draw", lambda *_: starts.reshape(COUNT, 4, -1))
+    monkeypatch.setattr(train, "_draw", lambda *_: State(starts.reshape(COUNT, 4, -1), np.zeros((COUNT, 4))))
     cascade = trained(ridge=0.3)
 
     sizes = np.sqrt(((starts - starts.mean(2, keepdims=True)) ** 2).sum((2, 3)) / (MEAN**2).sum())
     prepared = jax.vmap(Patch().prepare)(CROPS)
-    describe = jax.vmap(jax.vmap(jax.vmap(Patch().describe, (None, 0, None)), (None, 0, 0)))
-    x = np.asarray(describe(prepared, starts, 0.9 * FRAME.face * sizes), np.float64).reshape(4 * COUNT, -1)
+    describe = jax.vmap(
+        jax.vmap(jax.vmap(Patch().describe, (None, 0, None, None)), (None, 0, 0, None)), (0, 0, 0, None)
+    )
+    x = np.asarray(describe(prepared, starts, 0.9 * FRAME.face * sizes, jnp.float32(0)), np.float64).reshape(
+        4 * COUNT, -1
+    )
     y = ((landmarks - starts) / sizes[..., None, None]).astype(np.float64).reshape(4 * COUNT, -1)
     centred = x - x.mean(0)
     covariance = centred.T @ centred / len(x)
@@ -85,8 +89,8 @@ def test_a_mirrored_face_is_the_flipped_crop():
     half = COUNT // 2
     flipped = LANDMARKS[:, [1, 0, 3, 2]] * np.float32([-1, 1]) + np.float32([FRAME.crop - 1, 0])
     landmarks, flips = np.concatenate([LANDMARKS[:half], flipped[:half]]), np.repeat([False, True], half)
-    shared = TrainingSet(CROPS[:half], landmarks, flips, np.tile(np.arange(half), 2))
     copied = training_set(np.concatenate([CROPS[:half], CROPS[:half, :, ::-1]]), landmarks)
+    shared = TrainingSet(CROPS[:half], landmarks, flips, np.tile(np.arange(half), 2), copied.pivots)
     cascade = trained(shared)
     assert_same_bits(cascade, trained(copied))
     assert error_after(cascade, 3, CROPS[:, :, ::-1], flipped) < 0.5 * mean_error(START, flipped)
@@ -101,11 +105,38 @@ def test_the_size_of_batches_does_not_matter(monkeypatch):
 
 def test_starts_have_the_spread_that_was_asked_for():
     spread = Spread((0.1, 0.3), 0.2, 0.4)
-    starts = sample_starts(jax.random.key(0), 20_000, FRAME, spread)
+    starts = sample_starts(jax.random.key(0), 20_000, FRAME, spread, jnp.float32(0), jnp.zeros(2))
     np.testing.assert_allclose(starts.centre.mean(0), FRAME.middle, atol=0.2)
     np.testing.assert_allclose(starts.centre.std(0), np.array(spread.shift) * FRAME.face, rtol=0.03)
     for values, sigma in ((jnp.log(starts.scale), spread.log_scale), (starts.rotation, spread.rotation)):
         np.testing.assert_allclose([values.mean(), values.std()], [0, sigma], atol=0.03 * sigma)
+
+
+@pytest.mark.parametrize("space", [SPACE, shape_model_space(LANDMARKS)], ids=["points", "asm"])
+def test_turned_faces_are_found_from_several_starts(space):
+    options = {"windows": (0.9, 0.9, 0.7, 0.5), "augmentations": 12, "variance": 1.0, "ridge": 0.1, "seed": 0}
+    cascade = train_cascade(
+        space, Patch(turns=True, samples=5), FRAME, training_set(CROPS, LANDMARKS), SPREAD, turn=1.5, **options
+    )
+    rotations = start_rotations(7, (-90.0, 90.0))
+    upright = mean_error(fit_crops(cascade, NEW_CROPS), NEW_LANDMARKS)
+    assert upright < 0.6 * mean_error(START, NEW_LANDMARKS)
+    for quarters in (-1, 1):
+        crops = np.rot90(NEW_CROPS, -quarters, (1, 2)).copy()
+        turn = np.array([[0, -quarters], [quarters, 0]])
+        landmarks = (NEW_LANDMARKS - FRAME.middle) @ turn.T + FRAME.middle
+        assert mean_error(fit_crops(cascade, crops), landmarks) > 2 * upright
+        assert mean_error(fit_crops(cascade, crops, rotations), landmarks) < 1.3 * upright
+
+
+def test_starts_are_turned_evenly_about_the_pivot():
+    spread, pivot, turn = Spread((0.0, 0.0), 0.0, 0.0), jnp.array([20.0, 15.0]), jnp.float32(1.5)
+    starts = sample_starts(jax.random.key(0), 20_000, FRAME, spread, turn, pivot)
+    np.testing.assert_allclose(np.histogram(starts.rotation, 5, (-1.5, 1.5))[0], 4000, rtol=0.1)
+    arms = np.asarray(starts.centre) - np.asarray(pivot)
+    turns = np.arctan2(arms[:, 1], arms[:, 0]) - np.arctan2(8.5, 3.5)
+    np.testing.assert_allclose(np.exp(1j * turns), np.exp(1j * np.asarray(starts.rotation)), atol=1e-4)
+    np.testing.assert_allclose(np.hypot(*arms.T), np.hypot(3.5, 8.5), rtol=1e-4)
 
 
 def test_progress_counts_up_within_each_stage():

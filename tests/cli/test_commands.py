@@ -13,7 +13,7 @@ import jaxfit
 from jaxfit.cli.main import main
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.images import write_image
-from jaxfit.data.pts import read_pts
+from jaxfit.data.pts import read_pts, write_pts
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -98,6 +98,28 @@ def test_fit_with_boxes_writes_csv_pts_and_overlays(drawn: Path, model: Path, tm
         assert np.abs(overlay.astype(int) - jaxfit.read_image(picture)).max() > 60
 
 
+def test_the_parametric_method_with_several_initialisations(drawn: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "model.safetensors"
+    starts = ["--initialisations", "3", "--rotations", "-40", "40"]
+    assert main(["train", "--data", f"pts:{drawn}", "--method", "parametric", *starts, "--out", str(out), *TRAIN]) == 0
+    model = jaxfit.load(out)
+    assert (model.training["method"], model.training["initialisations"]) == ("parametric", 3)
+    assert model.cascade.descriptor.orientation == "face"
+    assert model.cascade.space.size == len(model.cascade.space.model.deviations) + 5
+    assert (
+        main(["evaluate", str(out), "--data", f"pts:{drawn}", *starts, "--normaliser", "box", "--out", str(tmp_path)])
+        == 0
+    )
+    assert np.median([float(row["nmed"]) for row in rows_of(tmp_path / "faces.csv")]) < 0.06
+    picture = drawn / "face000.png"
+    boxes = write_boxes(tmp_path / "boxes.csv", {picture.name: bounding_square(read_pts(picture.with_suffix(".pts")))})
+    fit = ["fit", str(picture), "--model", str(out), "--boxes", str(boxes), "--out", str(tmp_path / "fits")]
+    assert main([*fit, *starts]) == 0
+    capsys.readouterr()
+    assert main([*fit, "--initialisations", "0"]) == 2
+    assert "expected one initialisation" in capsys.readouterr().err
+
+
 def test_fit_reports_bad_pictures_and_goes_on(drawn: Path, model: Path, tmp_path: Path, capsys) -> None:
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -155,6 +177,8 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(drawn: Path, model: Path
         ],
         "augmentations >= 1": ["train", "--data", data, "--out", f"{out}.safetensors", *TRAIN, "--augmentations", "0"],
         "pts": ["train", "--data", f"pts:{empty}", "--out", f"{out}.safetensors"],
+        "cannot convert landmarks from points5 to aflw21": ["evaluate", str(model), "--data", data]
+        + ["--scheme", "aflw21", "--out", out],
     }
     for words, request in requests.items():
         assert main(request) == 2, request
@@ -174,3 +198,35 @@ def test_datasets_of_different_landmarks_are_not_mixed(drawn: Path, model: Path,
     both = [f"pts:{drawn}", f"pts:{tmp_path}"]
     assert main(["train", "--data", *both, "--out", str(tmp_path / "m.safetensors")]) == 2
     assert "must share their landmarks" in capsys.readouterr().err
+
+
+def test_labels_of_several_schemes_train_one_model_and_are_converted_to_evaluate_it(
+    drawn: Path, tmp_path: Path, capsys
+) -> None:
+    picture = (drawn / "face000.png").read_bytes()
+    rng = np.random.default_rng(0)
+    specs = []
+    for count in (29, 68):
+        folder = tmp_path / f"labelled{count}"
+        folder.mkdir()
+        for number in range(3):
+            (folder / f"face{number:03}.png").write_bytes(picture)
+            write_pts(folder / f"face{number:03}.pts", rng.uniform(30, 90, (count, 2)))
+        specs.append(f"pts:{folder}")
+    out = tmp_path / "model.safetensors"
+    train = ["train", "--data", *specs, "--out", str(out), *TRAIN, "--no-haar"]
+    assert main(train) == 2
+    assert "lfpw29, " in (said := capsys.readouterr().err)
+    assert "--scheme can convert some" in said
+    assert main([*train, "--scheme", "lfpw27"]) == 0
+    assert "lfpw27, trained on 6 faces" in capsys.readouterr().out
+    assert jaxfit.load(str(out)).scheme.name == "lfpw27"
+
+    evaluate = ["evaluate", str(out), "--data", specs[1], "--out"]
+    assert main([*evaluate, str(tmp_path / "a")]) == 0
+    assert f"{specs[1]}: labels converted from ibug68 to the model's lfpw27" in capsys.readouterr().out
+    assert main([*evaluate, str(tmp_path / "b"), "--scheme", "lfpw27"]) == 0
+    assert "converted" not in capsys.readouterr().out
+    assert (tmp_path / "a" / "faces.csv").read_bytes() == (tmp_path / "b" / "faces.csv").read_bytes()
+    assert main([*evaluate, str(tmp_path / "c"), "--scheme", "aflw21"]) == 2
+    assert "finds 27 landmarks (lfpw27)" in capsys.readouterr().err

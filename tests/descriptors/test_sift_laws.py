@@ -9,29 +9,32 @@ import pytest
 from jax import numpy as jnp
 from scipy import ndimage
 
-from jaxfit.descriptors.sift import Sift
+from jaxfit.descriptors.sift import Prepared, Sift
 from jaxfit.exceptions import InputError
+from jaxfit.image.sampling import pack
 
 SIZE = 80
 MIDDLE = (SIZE - 1) / 2
-OPTIONS = [(o, n) for o in ("upright", "principal") for n in ("cell", "vector")]
+OPTIONS = [(o, n) for o in ("upright", "face", "principal") for n in ("cell", "vector")]
 
 
 @cache
 def describer(orientation="upright", normalisation="cell"):
     """Descriptor of a uint8 crop."""
     sift = Sift(orientation, normalisation)
-    return jax.jit(lambda crop, point, side: sift.describe(sift.prepare(crop), point, side))
+    return jax.jit(lambda crop, point, side, angle: sift.describe(sift.prepare(crop), point, side, angle))
 
 
 @cache
 def plain_describer(orientation):
     """Descriptor of a picture that is taken as it is, not smoothed."""
-    return jax.jit(Sift(orientation, "cell").describe)
+    sift = Sift(orientation, "cell")
+    return jax.jit(lambda picture, *where: sift.describe(Prepared(picture, pack(picture)), *where))
 
 
-def describe(crop, point=(MIDDLE, MIDDLE), side=24.0, orientation="upright", normalisation="cell"):
-    return np.asarray(describer(orientation, normalisation)(crop, np.float32(point), np.float32(side)))
+def describe(crop, point=(MIDDLE, MIDDLE), side=24.0, orientation="upright", normalisation="cell", angle=0.0):
+    where = np.float32(point), np.float32(side), np.float32(angle)
+    return np.asarray(describer(orientation, normalisation)(crop, *where))
 
 
 def textured(seed=0, low=0, high=255):
@@ -58,23 +61,23 @@ def waves(x, y):
     return 128 + 15 * pattern + 6.6 * (x * np.cos(0.6) + y * np.sin(0.6))
 
 
-def wave_descriptor(orientation, degrees=0.0, scale=1.0, side=32.0):
-    """Descriptor of the pattern rotated clockwise and enlarged about the landmark."""
+def wave_descriptor(orientation, degrees=0.0, scale=1.0, side=32.0, angle=0.0):
+    """Descriptor of the pattern rotated clockwise and enlarged about the landmark, ``angle`` in degrees."""
     x, y = np.meshgrid(np.arange(SIZE) - MIDDLE, np.arange(SIZE) - MIDDLE)
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     picture = waves((cos * x + sin * y) / scale, (cos * y - sin * x) / scale).astype(np.float32)
     middle = jnp.array([MIDDLE, MIDDLE])
-    return np.asarray(plain_describer(orientation)(picture, middle, jnp.float32(side)))
+    return np.asarray(plain_describer(orientation)(picture, middle, jnp.float32(side), jnp.radians(angle)))
 
 
-@pytest.mark.parametrize("orientation", ["upright", "principal"])
+@pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
 def test_each_cell_sums_to_one_or_is_empty(orientation):
     assert describe(textured(), orientation=orientation).reshape(16, 8).sum(1) == pytest.approx(1, abs=1e-5)
     sums = describe(half_flat(), orientation=orientation).reshape(16, 8).sum(1)
     assert {*sums.round(5)} == {0.0, 1.0}
 
 
-@pytest.mark.parametrize("orientation", ["upright", "principal"])
+@pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
 def test_the_whole_vector_has_length_one(orientation):
     vector = describe(textured(), orientation=orientation, normalisation="vector")
     assert np.linalg.norm(vector) == pytest.approx(1, abs=1e-5)
@@ -94,12 +97,16 @@ def test_gradients_are_finite_and_alive(orientation, normalisation):
     sift = Sift(orientation, normalisation)
     weights = np.random.default_rng(0).normal(size=sift.size).astype(np.float32)
     # Compiled without optimisation, which would take twice as long and changes nothing here.
-    gradient = jax.grad(lambda *inputs: sift.describe(*inputs) @ weights, (0, 1, 2))
+    gradient = jax.grad(lambda *inputs: sift.describe(*inputs) @ weights, (0, 1, 2, 3))
     gradients = jax.jit(gradient, compiler_options={"xla_backend_optimization_level": 0})
     for crop in (textured(), half_flat(), np.full((SIZE, SIZE), 200, np.uint8), np.zeros((SIZE, SIZE), np.uint8)):
-        found = gradients(sift.prepare(jnp.asarray(crop)), jnp.array([MIDDLE, MIDDLE]), jnp.float32(24))
-        assert all(np.isfinite(gradient).all() for gradient in found)
-        assert all(np.any(gradient != 0) == (np.ptp(crop) > 0) for gradient in found)
+        prepared = sift.prepare(jnp.asarray(crop))
+        picture, *where = gradients(prepared, jnp.array([MIDDLE, MIDDLE]), jnp.float32(24), jnp.float32(0.3))
+        assert all(np.isfinite(gradient).all() for gradient in (*picture, *where))
+        point, side, angle = where
+        seen = picture.smoothed + picture.packed.sum(2)
+        assert all(np.any(gradient != 0) == (np.ptp(crop) > 0) for gradient in (seen, point, side))
+        assert np.any(angle != 0) == (np.ptp(crop) > 0 and orientation == "face")
 
 
 @pytest.mark.parametrize("normalisation", ["cell", "vector"])
@@ -109,7 +116,7 @@ def test_contrast_and_brightness_do_not_matter(normalisation):
     np.testing.assert_allclose(describe(2 * crop + 10, **options), describe(crop, **options), atol=1e-3)
 
 
-@pytest.mark.parametrize("orientation", ["upright", "principal"])
+@pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
 def test_moves_with_the_picture(orientation):
     crop = textured()
     moved_crop = np.roll(crop, (3, -5), (0, 1))  # rows, columns; the window and what smooths it lie inside
@@ -137,6 +144,13 @@ def test_turns_keep_the_principal_descriptor_and_change_the_upright_one(degrees)
     assert degrees == 10 or upright > 1.4 * one_bin
 
 
+@pytest.mark.parametrize("degrees", [10, 45, 90, 217])
+def test_a_window_that_turns_with_the_face_sees_it_upright(degrees):
+    expected = wave_descriptor("upright")
+    assert moved(wave_descriptor("face", degrees, angle=degrees), expected) < 0.03
+    assert moved(wave_descriptor("face", degrees), expected) > 0.2
+
+
 @pytest.mark.parametrize("scale", [0.5, 1.5, 2.0])
 def test_a_larger_picture_in_a_larger_window_is_the_same(scale):
     expected = wave_descriptor("upright", side=32)
@@ -148,5 +162,5 @@ def test_a_larger_picture_in_a_larger_window_is_the_same(scale):
 @pytest.mark.parametrize("options", [("sideways", "cell"), ("upright", "none"), ("cell", "upright")])
 def test_unknown_options_are_refused(options, monkeypatch):
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # which would refuse them first
-    with pytest.raises(InputError, match="expected orientation 'upright' or 'principal'"):
+    with pytest.raises(InputError, match="expected an orientation among upright, face, principal"):
         Sift(*options)

@@ -34,10 +34,12 @@ def gradients_around(smoothed, point, spacing, angle):
     return value(u + 1, v) - value(u - 1, v), value(u, v + 1) - value(u, v - 1), weights
 
 
-def reference(crop, point, side, orientation, normalisation):
+def reference(crop, point, side, orientation, normalisation, angle):
     """The descriptor, and for each of its numbers how much may go to a neighbouring bin by rounding."""
     smoothed = ndimage.gaussian_filter(crop.astype(np.float64), 1.6, mode="nearest")
-    spacing, angle = side / 32, 0.0
+    spacing = side / 32
+    if orientation == "upright":
+        angle = 0.0
     if orientation == "principal":
         dx, dy, weights = gradients_around(smoothed, point, spacing, 0.0)
         degrees = np.degrees(np.arctan2(dy, dx)) % 360
@@ -65,16 +67,16 @@ def reference(crop, point, side, orientation, normalisation):
 
 
 @pytest.mark.parametrize("normalisation", ["cell", "vector"])
-@pytest.mark.parametrize("orientation", ["upright", "principal"])
+@pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
 def test_agrees_with_the_reference(orientation, normalisation):
     sift = Sift(orientation, normalisation)
-    describe = jax.jit(lambda crop, point, side: sift.describe(sift.prepare(crop), point, side))
+    describe = jax.jit(lambda crop, point, side: sift.describe(sift.prepare(crop), point, side, jnp.float32(0.7)))
     # Windows inside the picture: beyond its edge differences are exactly 0, and orientations on the border of bins.
     places = [((27.3, 29.6), 24.0), ((30.0, 26.0), 32.0), ((20.25, 33.5), 12.7), ((15.2, 40.9), 18.0)]
     for seed, (point, side) in enumerate(places):
         crop = smooth_noise(seed)
         found = np.asarray(describe(crop, np.float32(point), np.float32(side)))
-        expected, doubt = reference(crop, np.float32(point).astype(float), side, orientation, normalisation)
+        expected, doubt = reference(crop, np.float32(point).astype(float), side, orientation, normalisation, 0.7)
         assert (np.abs(found - expected) <= doubt + 1e-3).all(), (seed, np.abs(found - expected).max())
 
 

@@ -5,14 +5,19 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from jaxfit.image.sampling import bilinear, bilinear_grid
+from jaxfit.image.sampling import bilinear, bilinear_grid, pack
 
 HEIGHT, WIDTH = 9, 14
 PICTURE = np.random.default_rng(1).uniform(0, 255, (HEIGHT, WIDTH)).astype(np.float32)
 
-sample = jax.jit(bilinear)
+
+def unpacked(picture, x, y):
+    return bilinear(pack(picture), x, y)
+
+
+sample = jax.jit(unpacked)
 sample_grid = jax.jit(bilinear_grid)
-slopes = jax.jit(jax.grad(lambda picture, x, y: bilinear(picture, x, y).sum(), (0, 1, 2)))
+slopes = jax.jit(jax.grad(lambda picture, x, y: unpacked(picture, x, y).sum(), (0, 1, 2)))
 grid_slopes = jax.jit(jax.grad(lambda picture, x, y: bilinear_grid(picture, x, y).sum(), (0, 1, 2)))
 
 

@@ -25,8 +25,10 @@ from jaxfit.exceptions import InputError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.model import Model
+from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.schemes import scheme_named
+from jaxfit.shapes.similarity import SimilarityASM
 
 PLACEMENT = Placement((0.01, -0.02), 0.1, Spread((0.05, 0.06), 0.07, 0.08))
 
@@ -45,6 +47,24 @@ def model(seed=0, scheme="points2"):
     )
     placements = {"square": PLACEMENT, "haar": replace(PLACEMENT, shift=(0.3, 0.4))}
     return Model(cascade, scheme_named(scheme), placements, {"method": "sdm", "windows": [0.7, 0.45], "faces": 12})
+
+
+def parametric_model():
+    rng = np.random.default_rng(1)
+    shapes = ActiveShapeModel(
+        mean=jnp.asarray(rng.normal(0, 8, (2, 2)), jnp.float32),
+        modes=jnp.asarray(rng.normal(size=(3, 2, 2)), jnp.float32),
+        deviations=jnp.array([3.0, 2.0, 1.0]),
+    )
+    points = model()
+    cascade = replace(
+        points.cascade,
+        space=SimilarityASM(shapes, jnp.float32(4.5)),
+        weights=jnp.asarray(rng.normal(size=(2, 256, 8)).astype(np.float16), jnp.float32),
+        biases=jnp.asarray(rng.normal(size=(2, 8)), jnp.float32),
+        descriptor=Sift("face", "cell"),
+    )
+    return replace(points, cascade=cascade)
 
 
 def same_arrays(a, b):
@@ -293,3 +313,33 @@ def test_a_model_knows_square_boxes():
     with pytest.raises(InputError, match="boxes of the kinds square, haar; got 'yunet'"):
         model().placement("yunet")
     assert model().placement("square") == PLACEMENT
+
+
+def test_a_parametric_model_comes_back_as_it_was(tmp_path):
+    path = tmp_path / "parametric.safetensors"
+    save(parametric_model(), path)
+    again = load(path)
+    assert same_arrays(again, parametric_model())
+    assert type(again.cascade.space) is SimilarityASM
+    assert again.cascade.descriptor == Sift("face", "cell")
+    save(again, tmp_path / "again.safetensors")
+    assert (tmp_path / "again.safetensors").read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("space.model.mean", (3, 2)),
+        ("space.model.mean", (2, 3)),
+        ("space.model.modes", (4, 2, 2)),
+        ("space.model.modes", (3, 2, 3)),
+        ("space.model.modes", (3, 4)),
+        ("space.model.deviations", (2,)),
+        ("space.model.deviations", (3, 1)),
+        ("space.sigmas", (2,)),
+    ],
+)
+def test_wrong_shapes_of_a_shape_model_are_refused(tmp_path, loaded, name, shape):
+    save(parametric_model(), tmp_path / "good.safetensors")
+    data = (tmp_path / "good.safetensors").read_bytes()
+    assert isinstance(loaded(repacked(data, **{name: np.ones(shape, np.float32)})), str)
