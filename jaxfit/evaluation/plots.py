@@ -1,14 +1,26 @@
-"""Figures of an evaluation; needs matplotlib, the optional extra ``plots``."""
+"""Figures of errors, shape models and descriptors; needs matplotlib, the optional extra ``plots``."""
 
+import math
+from collections.abc import Sequence
+from types import ModuleType
 from typing import TYPE_CHECKING
 
+import jax
 import numpy as np
+from jax import numpy as jnp
 
+from jaxfit.descriptors.sift import BINS, CELLS, Sift
 from jaxfit.evaluation.curves import LIMIT, auc, ced
 from jaxfit.exceptions import InputError
+from jaxfit.shapes.asm import ActiveShapeModel
+from jaxfit.shapes.schemes import Scheme
+from jaxfit.shapes.space import rotate
 
 if TYPE_CHECKING:
     import matplotlib.axes
+
+_MARGIN = 0.08  # around drawn faces, as a share of their size
+_SURROUNDINGS = 0.8  # how far a descriptor's figure reaches from the landmark, in sides of the window
 
 
 def plot_ced(
@@ -33,7 +45,7 @@ def plot_ced(
     curves = {
         f"{name} (AUC {auc(errors, limit):.3f})": ced(errors, thresholds) for name, errors in errors_by_name.items()
     }
-    ax = ax if ax is not None else _new_axes()
+    ax = ax if ax is not None else _pyplot().subplots()[1]
     for label, shares in curves.items():
         ax.plot(thresholds, shares, label=label)
     ax.set(xlim=(0.0, limit), ylim=(0.0, 1.0), xlabel="NMED", ylabel="share of faces")
@@ -43,9 +55,154 @@ def plot_ced(
     return ax
 
 
-def _new_axes() -> "matplotlib.axes.Axes":
+def plot_modes(
+    model: ActiveShapeModel,
+    scheme: Scheme,
+    modes: int = 3,
+    sigmas: Sequence[float] = (-2.0, -1.0, 1.0, 2.0),
+    axes: np.ndarray | None = None,
+) -> np.ndarray:
+    """What the first modes of a shape model do to its mean face (thesis, Figure 6).
+
+    Row i, column k show the face whose only coefficient is bᵢ = ``sigmas[k]`` · σᵢ, over the mean in grey. A row is
+    labelled with the mode's share of the variance that the model holds. 3D faces are drawn by their x and y.
+
+    Args:
+        model: the shape model, of L landmarks.
+        scheme: says which points lines join.
+        modes: how many modes to draw, the one with most variance first.
+        sigmas: values of the coefficient, in standard deviations; one column each.
+        axes: (modes, len(sigmas)) matplotlib axes to draw on; a new figure if None.
+
+    Returns:
+        (modes, len(sigmas)) the axes drawn on.
+
+    Raises:
+        InputError: matplotlib is missing, the model has fewer modes or not the scheme's landmarks, or there are not
+            as many axes.
+    """
+    held = len(model.deviations)
+    if not 1 <= modes <= held:
+        raise InputError(f"the shape model has {held} modes; expected 1 to {held} of them to draw, got {modes}")
+    if len(model.mean) != scheme.count:
+        raise InputError(
+            f"the shape model has {len(model.mean)} landmarks; scheme {scheme.name} has {scheme.count}: they must agree"
+        )
+    if not len(sigmas):
+        raise InputError("expected at least one value of the coefficients, in standard deviations; got none")
+    grid = (modes, len(sigmas))
+    if axes is None:
+        axes = _pyplot().subplots(*grid, squeeze=False, figsize=(2.0 * grid[1], 1.8 * grid[0]), layout="constrained")[1]
+    elif axes.shape != grid:
+        raise InputError(f"expected an array {grid} of axes, a row a mode and a column a sigma; got {axes.shape}")
+
+    mean = np.asarray(model.mean)[:, :2]
+    coefficients = jnp.diag(model.deviations)[:modes, None, :] * jnp.asarray(sigmas)[None, :, None]
+    faces = np.asarray(jax.vmap(jax.vmap(model.reconstruct))(coefficients))[..., :2]
+    shares = np.asarray(model.deviations) ** 2 / np.sum(np.asarray(model.deviations) ** 2)
+    # All in one frame, so that faces can be compared; y is down.
+    everything = np.concatenate([faces.reshape(-1, 2), mean])
+    margin = _MARGIN * np.ptp(everything, 0).max()
+    (left, top), (right, bottom) = everything.min(0) - margin, everything.max(0) + margin
+    for (row, column), ax in np.ndenumerate(axes):
+        _draw_face(ax, mean, scheme, "0.8")
+        _draw_face(ax, faces[row, column], scheme, "C0")
+        ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[], frame_on=False)
+        if row == 0:
+            ax.set_title(f"{sigmas[column]:+g} σ".replace("-", "−"))
+        if column == 0:
+            ax.set_ylabel(f"mode {row + 1} ({shares[row]:.0%})")
+    return axes
+
+
+def _draw_face(ax: "matplotlib.axes.Axes", points: np.ndarray, scheme: Scheme, colour: str) -> None:
+    for line in scheme.lines:
+        ax.plot(*points[list(line)].T, color=colour, linewidth=1.2)
+    ax.plot(*points.T, ".", color=colour, markersize=3)
+
+
+def plot_descriptor(
+    sift: Sift,
+    crop: np.ndarray,
+    point: np.ndarray | jax.Array | Sequence[float],
+    side: float,
+    angle: float = 0.0,
+    ax: "matplotlib.axes.Axes | None" = None,
+) -> "matplotlib.axes.Axes":
+    """What a descriptor holds, over the picture it is taken from (thesis, Figure 3).
+
+    Around the landmark are the window's 4 × 4 cells, turned as the descriptor turns them; a tick outside the window
+    shows where its x axis points. In each cell an arrow for each of the 8 orientations of the gradient, which points
+    from dark to bright; its length is the descriptor's value, the largest reaching half across a cell.
+
+    Args:
+        sift: the descriptor.
+        crop: (H, W) uint8, grey.
+        point: (2,) the landmark, x right, y down, in crop pixels.
+        side: of the window, in crop pixels.
+        angle: rotation of the face, in radians, clockwise as seen; matters to descriptors that turn with the face.
+        ax: where to draw; a new figure if None.
+
+    Returns:
+        The axes drawn on, which show the window and what lies around it.
+
+    Raises:
+        InputError: matplotlib is missing, the crop is not grey, a number is not finite, or the side is not positive.
+    """
+    crop, centre = np.asarray(crop), np.asarray(point, np.float32)
+    if crop.ndim != 2 or crop.dtype != np.uint8:
+        raise InputError(f"expected a grey crop, uint8 (H, W); got {crop.dtype} {crop.shape}")
+    if not (centre.shape == (2,) and np.isfinite([*centre, side, angle]).all() and side > 0):
+        raise InputError(
+            f"expected a finite point (x, y), a side > 0 and a finite angle; got {centre}, {side} and {angle}"
+        )
+    ax = ax if ax is not None else _pyplot().subplots()[1]
+    landmark, face_angle = jnp.asarray(centre), jnp.float32(angle)
+    prepared = sift.prepare(jnp.asarray(crop))
+    values = sift.describe(prepared, landmark, jnp.float32(side), face_angle).reshape(CELLS**2, BINS)
+    turn = sift.window_angle(prepared, landmark, jnp.float32(side), face_angle)
+
+    def in_crop(offsets: np.ndarray) -> np.ndarray:
+        """Offsets (..., 2) from the landmark along the window's axes, in sides, as crop points."""
+        return centre + side * np.asarray(rotate(jnp.asarray(offsets, jnp.float32), turn))
+
+    ax.imshow(crop, cmap="gray", vmin=0, vmax=255)
+    edges = np.arange(CELLS + 1) / CELLS - 0.5
+    for edge in edges:
+        for ends in ([(edge, -0.5), (edge, 0.5)], [(-0.5, edge), (0.5, edge)]):
+            ax.plot(*in_crop(np.array(ends)).T, color="yellow", linewidth=0.8, alpha=0.7)
+    ax.plot(*in_crop(np.array([(0.5, 0.0), (0.6, 0.0)])).T, color="yellow", linewidth=2.0)
+    middles = (edges[:-1] + edges[1:]) / 2
+    tails = in_crop(np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2))
+    directions = 2 * math.pi * (np.arange(BINS) + 0.5) / BINS + float(turn)  # the middles of the bins
+    longest = float(values.max()) or 1.0  # a flat window has no arrows
+    lengths = np.asarray(values) / longest * side / CELLS / 2
+    ax.quiver(
+        *(tails.T[:, :, None] * np.ones(BINS)),
+        lengths * np.cos(directions),
+        lengths * np.sin(directions),
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        units="xy",
+        width=side / 150,
+        minlength=0.0,
+        color="cyan",
+    )
+    ax.plot(*centre, "+", color="red")
+    reach = _SURROUNDINGS * side
+    ax.set(
+        xlim=(centre[0] - reach, centre[0] + reach),
+        ylim=(centre[1] + reach, centre[1] - reach),
+        xlabel="x [crop pixels]",
+        ylabel="y [crop pixels]",
+    )
+    return ax
+
+
+def _pyplot() -> ModuleType:
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
         raise InputError('plots need matplotlib: pip install "jaxfit[plots]"') from error
-    return plt.subplots()[1]
+    return plt
