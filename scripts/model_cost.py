@@ -1,0 +1,110 @@
+"""Size and cost of one cascade step, SDM against parametric, for several numbers of points (thesis 3.2.1)."""
+
+import argparse
+import platform
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxfit
+from jaxfit.cascade.fit import State, advanced, features_at, state_of
+from jaxfit.cli.arguments import read_datasets
+from jaxfit.data.boxes import bounding_square
+from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.shapes.space import ShapeSpace, Start
+from jaxfit.training import METHODS, Options
+
+FACES, REPETITIONS = 64, 9
+COLUMNS = {
+    "points": "d",
+    "method": "",
+    "state": "d",
+    "parameters": "d",
+    "multiply-adds": "d",
+    "regression µs": ".0f",
+    "descriptors µs": ".0f",
+    "step µs": ".0f",
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--data", nargs="+", required=True, metavar="SPEC", help="one dataset for each number of points"
+    )
+    arguments = parser.parse_args()
+    rows = []
+    for dataset in read_datasets(arguments.data, None):
+        faces = np.stack([face.landmarks for face in dataset.faces if face.complete])
+        squares = np.stack([bounding_square(points) for points in faces])
+        relative = (faces - squares[:, None, :2]) / squares[:, None, 2:]
+        for name, method in METHODS.items():
+            rows.append(
+                {
+                    "points": faces.shape[1],
+                    "method": name,
+                    **cost(method.learn_space(relative, Options()), method.descriptor),
+                }
+            )
+    print(
+        f"One step of one face. jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}, "
+        f"{jax.devices()[0].device_kind}, {FACES} faces a batch, median of {REPETITIONS}.\n"
+    )
+    print(markdown_table(rows, COLUMNS))
+
+
+def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
+    frame = Options().frame
+    middle = Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.float32(0.1))
+    state = state_of(descriptor, space, space.place(middle))
+    points = space.landmarks(state.params).shape[0]
+    features = points * descriptor.size
+    rng = np.random.default_rng(0)
+    weights = jnp.asarray(rng.normal(0, 1e-4, (features, space.size)), jnp.float32)
+    crops = jnp.asarray(rng.integers(0, 256, (FACES, frame.crop, frame.crop)), jnp.uint8)
+    states = jax.tree.map(lambda part: jnp.broadcast_to(part, (FACES, *part.shape)), state)
+    prepared = jax.jit(jax.vmap(descriptor.prepare))(crops)
+    window = jnp.float32(0.25 * frame.face)
+
+    def describe(prepared, state: State):
+        return features_at(descriptor, space, prepared, state, window)
+
+    def regress(seen, state: State) -> State:
+        return advanced(descriptor, space, state, seen @ weights)
+
+    batched = jax.jit(
+        lambda prepared, states: jax.lax.map(lambda one: describe(*one), (prepared, states), batch_size=4)
+    )
+    step = jax.jit(
+        lambda prepared, states: jax.lax.map(
+            lambda one: regress(describe(*one), one[1]), (prepared, states), batch_size=4
+        )
+    )
+    seen = batched(prepared, states)
+    # From parameters to landmarks, as compiled: nothing for SDM, whose parameters are the landmarks.
+    geometry = jax.jit(space.landmarks).lower(state.params).compile().cost_analysis().get("flops", 0)
+    return {
+        "state": space.size,
+        "parameters": (features + 1) * space.size,
+        "multiply-adds": features * space.size + int(geometry / 2),
+        "regression µs": microseconds(jax.jit(jax.vmap(regress)), seen, states),
+        "descriptors µs": microseconds(batched, prepared, states),
+        "step µs": microseconds(step, prepared, states),
+    }
+
+
+def microseconds(function, *inputs) -> float:
+    jax.block_until_ready(function(*inputs))
+    times = []
+    for _ in range(REPETITIONS):
+        begin = time.perf_counter()
+        jax.block_until_ready(function(*inputs))
+        times.append(time.perf_counter() - begin)
+    return float(np.median(times)) / FACES * 1e6
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""How well turned faces are found: NMED against the rotation, for several numbers of initialisations (Fig. 14).
+
+Each method is trained on all folds but the first, for the largest number of initialisations, and tested on pictures of
+the first, turned about the face; or finished models are tested on all pictures. A killed run goes on where it was:
+trained models and tables are kept in ``--out``.
+"""
+
+import argparse
+import csv
+import platform
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from urllib.parse import quote
+
+import cv2
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxfit
+from jaxfit.cascade.fit import centroid, fit_starts, start_rotations, starts_of
+from jaxfit.cli.arguments import (
+    add_datasets,
+    add_training,
+    out_folder,
+    read_datasets,
+    shared_scheme,
+    training_options,
+    variant,
+)
+from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.progress import Bars
+from jaxfit.data.boxes import bounding_square, box_centre
+from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
+from jaxfit.data.records import FaceRecord
+from jaxfit.evaluating import start_boxes
+from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError, JaxfitError
+from jaxfit.shapes.conversions import convert
+from jaxfit.shapes.schemes import Scheme
+from jaxfit.training import train
+
+COUNTS = (1, 3, 5, 7, 9, 11)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_datasets(parser)
+    parser.add_argument("--method", nargs="+", default=["sdm", "parametric"], help="as for crossvalidate.py")
+    add_training(parser)
+    parser.add_argument("--model", nargs="+", default=[], help="test these, on all faces, instead of training")
+    parser.add_argument("--folds", type=int, default=5)
+    parser.add_argument(
+        "--degrees",
+        type=float,
+        nargs="+",
+        default=[float(degrees) for degrees in range(-90, 91, 15)],
+        help="of the pictures",
+    )
+    parser.add_argument("--faces", type=int, help="test at most so many faces of each dataset")
+    parser.add_argument("--out", required=True, metavar="DIR", help="where models, tables and the figure go")
+    parser.set_defaults(initialisations=max(COUNTS))
+    arguments = parser.parse_args()
+    keep_compiled_code()
+    try:
+        return run(arguments)
+    except JaxfitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+def run(arguments: argparse.Namespace) -> int:
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    scheme = shared_scheme(datasets)
+    folder = out_folder(arguments.out)
+    settings = {k: v for k, v in sorted(vars(arguments).items()) if k not in ("out", "data", "method", "model")}
+    # Named by folder, so that the settings do not depend on where the data lie.
+    settings["datasets"] = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
+    require_same_settings(folder / "settings.json", settings)
+    learned, tested = [], {}
+    for dataset in datasets:
+        faces = [face for face in dataset.faces if face.complete]
+        folds = split_by_subject([face.subject for face in faces], arguments.folds, arguments.seed)
+        learned += [face for face, fold in zip(faces, folds, strict=True) if fold > 0 and not arguments.model]
+        name = Path(dataset.spec.partition(":")[2]).name
+        if name in tested:
+            raise InputError(f"expected datasets in folders of different names; got {name} twice")
+        tested[name] = [face for face, fold in zip(faces, folds, strict=True) if fold == 0 or arguments.model]
+        tested[name] = tested[name][: arguments.faces]
+    rows = []
+    for text in arguments.model or arguments.method:
+        name = quote(text.replace(":", "-"), safe="=,")
+        if arguments.model:
+            model = jaxfit.load(text)
+        else:
+            method, options = variant(text, partial(training_options, arguments, scheme))
+            model_file = folder / f"{name}.safetensors"
+            if not model_file.exists():
+                with Bars() as bars:
+                    jaxfit.save(train(learned, scheme, method=method, options=options, progress=bars).model, model_file)
+            model = jaxfit.load(model_file)
+        for dataset_name, faces in tested.items():
+            path = folder / f"{name}-{dataset_name}.csv"
+            if not path.exists():
+                found = [measure(model, scheme, faces, degrees, arguments) for degrees in arguments.degrees]
+                lines = zip(COUNTS, *found, strict=True)
+                write_csv(path, ["initialisations", *map(str, arguments.degrees)], [list(line) for line in lines])
+            with open(path, encoding="utf-8", newline="") as file:
+                read = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
+            for row in read:
+                row["initialisations"] = int(row["initialisations"])
+            rows += [{"dataset": dataset_name, "method": text, **row} for row in read]
+    columns = {"dataset": "", "method": "", "initialisations": "d", **{str(d): ".4f" for d in arguments.degrees}}
+    counts = ", ".join(f"{len(faces)} of {name}" for name, faces in tested.items())
+    about = (
+        f"Median NMED over the outer eye corners of faces that were not trained on ({counts}) against the "
+        "rotation of the picture in degrees.\n"
+        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}."
+    )
+    with atomic_write(folder / "table.md", "w") as file:
+        file.write(f"{about}\n\n{markdown_table(rows, columns)}\n")
+    print((folder / "table.md").read_text(), end="")
+    draw(rows, arguments.degrees, folder / "rotations.png")
+    return 0
+
+
+def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degrees: float, arguments) -> list[float]:
+    """Median error of faces in pictures turned by ``degrees``, for each number of initialisations.
+
+    Every start is fitted once, however many numbers of initialisations it belongs to.
+    """
+    turned = [turn(face, degrees) for face in faces]
+    truth = np.stack([points for _, points in turned])
+    # The boxes that upright faces would get: around the turned points, moved and scaled alike.
+    placed = [replace(face, landmarks=points) for face, points in zip(faces, truth, strict=True)]
+    boxes = start_boxes(placed, arguments.seed)
+    crops, problems = jaxfit.crop_faces(model, [picture for picture, _ in turned], boxes)
+    if problems:
+        raise InputError(f"faces that cannot be fitted: {problems}")
+    pivots = jnp.asarray(crops.pivots, jnp.float32)
+    starts = {count: np.asarray(start_rotations(count, tuple(arguments.rotations))) for count in COUNTS}
+    every = np.unique(np.concatenate(list(starts.values())))
+    fits = np.asarray(fit_all(model.cascade, jnp.asarray(crops.pixels), pivots, jnp.asarray(every)))
+    medians = []
+    for count in COUNTS:
+        candidates = fits[:, np.searchsorted(every, starts[count])]
+        chosen = np.asarray(jax.vmap(centroid)(jnp.asarray(candidates)))
+        landmarks = crops.to_images(candidates[np.arange(len(faces)), chosen].astype(float))
+        landmarks = convert(landmarks, model.scheme, scheme)
+        medians.append(float(np.median(nmed(landmarks, truth, scheme, "outer"))))
+    return medians
+
+
+@jax.jit
+def fit_all(cascade, crops, pivots, rotations):
+    """The fits of every crop from every rotation: (faces, starts, landmarks, 2)."""
+
+    def face(inputs):
+        crop, pivot = inputs
+        return fit_starts(cascade, crop, starts_of(cascade.frame, rotations, pivot))
+
+    return jax.lax.map(face, (crops, pivots))
+
+
+def turn(face: FaceRecord, degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """A face's surroundings, turned clockwise about the face, and its landmarks there."""
+    grey = to_grey(read_image(face.image, exif=False))
+    square = bounding_square(face.landmarks)
+    side = int(3 * square[2])
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    rotation = np.array([[cos, -sin], [sin, cos]])
+    offset = side / 2 - rotation @ box_centre(square)
+    picture = cv2.warpAffine(grey, np.c_[rotation, offset], (side, side), borderMode=cv2.BORDER_REPLICATE)
+    return picture, face.landmarks @ rotation.T + offset
+
+
+def draw(rows: list[dict[str, object]], degrees: list[float], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    panels = list(dict.fromkeys((row["dataset"], row["method"]) for row in rows))
+    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3.6), sharey=True, squeeze=False)
+    for (dataset, method), ax in zip(panels, axes[0], strict=True):
+        for row in rows:
+            if (row["dataset"], row["method"]) == (dataset, method):
+                shade = plt.get_cmap("viridis")(COUNTS.index(row["initialisations"]) / len(COUNTS))
+                ax.plot(degrees, [row[str(d)] for d in degrees], "o-", ms=3, color=shade, label=row["initialisations"])
+        ax.set(title=f"{dataset}, {method}", xlabel="rotation of the picture (degrees)", ylim=(0, 0.3))
+        ax.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("median NMED")
+    axes[0, -1].legend(title="initialisations", fontsize="small")
+    figure.tight_layout()
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
