@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, start_rotations
-from jaxfit.data.boxes import box_centre, box_problem
+from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.images import to_grey
 from jaxfit.exceptions import ImageError, InputError
@@ -53,8 +53,7 @@ def crop_faces(
         kind: what drew the boxes, one of ``model.placements``; or N of them.
 
     Returns:
-        The crops, with the centres of the boxes as pivots; and for each face that cannot be cut (its crop is black)
-        its number and why.
+        The crops; and for each face that cannot be cut (its crop is black) its number and why.
 
     Raises:
         InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
@@ -77,7 +76,7 @@ def crop_faces(
         if complaint := box_problem(box, grey.shape):
             problems[number] = complaint
             continue
-        cut(grey, *placements[number].face_in(box), crops, number, box_centre(box))
+        cut(grey, *placements[number].face_in(box), crops, number)
     return crops, problems
 
 
@@ -136,8 +135,7 @@ def fit(
     for size in _batch_sizes(len(usable)):
         progress("fitting", done, len(usable))
         rows = usable[done : done + size]
-        pivots = jnp.asarray(crops.pivots[rows], jnp.float32)
-        fitted = fit_crops(model.cascade, jnp.asarray(crops.pixels[rows]), turns, pivots)
+        fitted = fit_crops(model.cascade, jnp.asarray(crops.pixels[rows]), turns)
         landmarks[rows] = crops.to_images(np.asarray(fitted, np.float64), rows)
         done += size
     progress("fitting", done, len(usable))
@@ -165,6 +163,4 @@ def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int
     side = model.cascade.frame.crop
     turns = start_rotations(initialisations, ANY_ROTATION)
     for size in batches:
-        jax.block_until_ready(
-            fit_crops(model.cascade, jnp.zeros((size, side, side), jnp.uint8), turns, jnp.zeros((size, 2)))
-        )
+        jax.block_until_ready(fit_crops(model.cascade, jnp.zeros((size, side, side), jnp.uint8), turns))

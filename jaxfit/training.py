@@ -194,7 +194,7 @@ def train(
             problems.append(str(error))
             continue
         usable.append(number)
-        cut(grey, *placement.face_in(squares[number]), crops, number, box_centre(squares[number]))
+        cut(grey, *placement.face_in(squares[number]), crops, number)
         if options.haar and number % every == 0:
             detected.look(number, grey, squares[number])
     progress("reading pictures", len(complete), len(complete))
@@ -207,7 +207,7 @@ def train(
         space,
         options.descriptor or default_descriptor(method, options.initialisations),
         options.frame,
-        _training_set(crops, landmarks, rows, scheme if options.mirror else None),
+        _training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
         _scaled(placement.spread, options.spread),
         windows=options.windows,
         augmentations=options.augmentations,
@@ -271,9 +271,12 @@ class _Detected:
         }
 
 
-def _training_set(crops: Crops, landmarks: np.ndarray, rows: np.ndarray, mirror: Scheme | None) -> TrainingSet:
+def _training_set(
+    crops: Crops, landmarks: np.ndarray, squares: np.ndarray, rows: np.ndarray, mirror: Scheme | None
+) -> TrainingSet:
     """The faces in crop pixels; with ``mirror``, each a second time, flipped."""
-    points, pivots = crops.from_images(landmarks[rows], rows), crops.pivots[rows]
+    points = crops.from_images(landmarks[rows], rows)
+    pivots = crops.from_images(np.stack([box_centre(square) for square in squares[rows]])[:, None], rows)[:, 0]
     flips = np.zeros(len(rows), bool)
     if mirror is not None:
         width = crops.pixels.shape[2]

@@ -135,7 +135,7 @@ def _other_scheme(folder: Path, picture: np.ndarray, points: np.ndarray) -> Call
     labels = folder / "other-scheme"
     labels.mkdir()
     write_image(labels / "face.png", picture)
-    write_pts(labels / "face.pts", points[:21])
+    write_pts(labels / "face.pts", points[:29])
     return lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(folder / "out"))
 
 

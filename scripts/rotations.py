@@ -142,10 +142,9 @@ def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degree
     crops, problems = jaxfit.crop_faces(model, [picture for picture, _ in turned], boxes)
     if problems:
         raise InputError(f"faces that cannot be fitted: {problems}")
-    pivots = jnp.asarray(crops.pivots, jnp.float32)
     starts = {count: np.asarray(start_rotations(count, tuple(arguments.rotations))) for count in COUNTS}
     every = np.unique(np.concatenate(list(starts.values())))
-    fits = np.asarray(fit_all(model.cascade, jnp.asarray(crops.pixels), pivots, jnp.asarray(every)))
+    fits = np.asarray(fit_all(model.cascade, jnp.asarray(crops.pixels), jnp.asarray(every)))
     medians = []
     for count in COUNTS:
         candidates = fits[:, np.searchsorted(every, starts[count])]
@@ -157,14 +156,10 @@ def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degree
 
 
 @jax.jit
-def fit_all(cascade, crops, pivots, rotations):
+def fit_all(cascade, crops, rotations):
     """The fits of every crop from every rotation: (faces, starts, landmarks, 2)."""
-
-    def face(inputs):
-        crop, pivot = inputs
-        return fit_starts(cascade, crop, starts_of(cascade.frame, rotations, pivot))
-
-    return jax.lax.map(face, (crops, pivots))
+    starts = starts_of(cascade.space, cascade.frame, rotations)
+    return jax.lax.map(lambda crop: fit_starts(cascade, crop, starts), crops)
 
 
 def turn(face: FaceRecord, degrees: float) -> tuple[np.ndarray, np.ndarray]:

@@ -134,10 +134,28 @@ def check_rotations(initialisations: int, rotations: tuple[float, float]) -> Non
         )
 
 
-def starts_of(frame: Frame, rotations: Float[Array, "starts"], pivot: Point) -> Start:
-    """The start in the middle of the crop at the canonical size, turned about a point by each of some rotations."""
+def starts_of(space: ShapeSpace, frame: Frame, rotations: Float[Array, "starts"]) -> Start:
+    """Starts for one box, one for each rotation in radians: upright, in the middle of the crop at the canonical size.
+
+    Turned, the mean face is moved and scaled to have the same bounding square as the upright one: around a turned face,
+    which is wider or narrower, a box lies differently.
+    """
     upright = Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.zeros(()))
-    return vmap(lambda rotation: upright.turned(pivot, rotation))(rotations)
+    mean = space.landmarks(space.place(upright))
+
+    def turned(rotation: Scalar) -> Start:
+        middle, side = bounding_square(mean)
+        there, larger = bounding_square(frame.middle + rotate(mean - frame.middle, rotation))
+        scale = side / larger
+        return Start(middle + scale * (frame.middle - there), scale, rotation)
+
+    return vmap(turned)(rotations)
+
+
+def bounding_square(points: Landmarks) -> tuple[Point, Scalar]:
+    """Centre and side of the smallest square around points."""
+    low, high = points.min(0), points.max(0)
+    return (low + high) / 2, (high - low).max()
 
 
 def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
@@ -171,7 +189,6 @@ def fit_crops(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
-    pivots: Float[Array, "faces 2"] | None = None,
 ) -> Float[Array, "faces landmarks 2"]:
     """Landmarks of a batch of crops, in crop pixels: the whole cascade in one compiled function.
 
@@ -180,8 +197,6 @@ def fit_crops(
         crops: uint8 grey crops of ``cascade.frame``, the expected face upright in the middle at the canonical size,
             as ``jaxfit.crop_faces`` cuts them.
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
-        pivots: (faces, 2) centres of the face boxes in crop pixels, ``crops.pivots``, about which starts are turned:
-            a face's centre is not its box's, and turns with it. None takes the middle of the crop.
 
     Raises:
         InputError: crops of another size, or no rotations.
@@ -192,11 +207,10 @@ def fit_crops(
     rotations = jnp.zeros(1) if rotations is None else rotations
     if len(rotations) == 0:
         raise InputError("expected at least one rotation to start from; got none")
-    pivots = jnp.full((len(crops), 2), cascade.frame.middle) if pivots is None else pivots
+    starts = starts_of(cascade.space, cascade.frame, rotations)
 
-    def fitted(face: tuple[Crop, Point]) -> Landmarks:
-        crop, pivot = face
-        candidates = fit_starts(cascade, crop, starts_of(cascade.frame, rotations, pivot))
+    def fitted(crop: Crop) -> Landmarks:
+        candidates = fit_starts(cascade, crop, starts)
         return candidates[centroid(candidates)]
 
-    return lax.map(fitted, (crops, pivots), batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))
+    return lax.map(fitted, crops, batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))

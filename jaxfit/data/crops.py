@@ -41,21 +41,18 @@ class Crops:
         pixels: (N, crop, crop) uint8.
         scale: (N,) float64, image pixels per crop pixel.
         offset: (N, 2) float64, the image point under the centre of each crop's first pixel.
-        pivots: (N, 2) float64, the crop point about which the face's expected place turns with the face: the centre of
-            its box; the middle of the crop unless told otherwise.
     """
 
     frame: Frame
     pixels: np.ndarray
     scale: np.ndarray
     offset: np.ndarray
-    pivots: np.ndarray
 
     @classmethod
     def empty(cls, count: int, frame: Frame) -> "Crops":
         """Black crops, each the first pixels of its picture."""
         pixels = np.zeros((count, frame.crop, frame.crop), np.uint8)
-        return cls(frame, pixels, np.ones(count), np.zeros((count, 2)), np.full((count, 2), frame.middle))
+        return cls(frame, pixels, np.ones(count), np.zeros((count, 2)))
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -73,16 +70,9 @@ class Crops:
         return self.scale[chosen][:, None, None], self.offset[chosen][:, None]
 
 
-def cut(
-    grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, row: int, pivot: np.ndarray | None = None
-) -> None:
-    """Fill crop ``row`` with the crop of a face; arguments and errors are those of :func:`cut_face`.
-
-    ``pivot`` is the image point (2,) of the crop's pivot; None is its middle.
-    """
+def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, row: int) -> None:
+    """Fill crop ``row`` with the crop of a face; arguments and errors are those of :func:`cut_face`."""
     crops.pixels[row], crops.scale[row], crops.offset[row] = cut_face(grey, centre, face_side, crops.frame)
-    if pivot is not None:
-        crops.pivots[row] = to_crop(pivot, crops.scale[row], crops.offset[row])
 
 
 def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame) -> Crop:

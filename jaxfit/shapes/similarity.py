@@ -137,7 +137,7 @@ def learn_similarity_asm(
             f"the faces could not be aligned to a common mean in {int(found.rounds)} rounds; look for wrong labels"
         )
     pixels = side / jnp.ptp(found.mean, 0).max()
-    model = learn_shape_model(pixels * unstretched(found.aligned, found.mean), variance)
+    model = learn_shape_model(unstretched(found.aligned * pixels, found.mean * pixels), variance)
     return SimilarityASM(model, jnp.float32(likely_radius(len(model.deviations)) if sigmas is None else sigmas))
 
 

@@ -9,7 +9,7 @@ from blobs import FRAME, MEAN, SPACE, Patch, blob_faces, shape_model_space
 from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
-from jaxfit.cascade.fit import centroid, fit_crops, fit_face, start_rotations, starts_of
+from jaxfit.cascade.fit import centroid, fit_crops, fit_face, fit_starts, start_rotations, starts_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
@@ -116,14 +116,16 @@ def test_fits_on_their_way_out_drown_no_others():
         assert int(centroid(jnp.asarray(candidates))) == expected
 
 
-def test_starts_are_the_middle_one_turned_about_the_pivot():
-    pivot = np.float32([20.0, 31.0])
-    starts = starts_of(FRAME, jnp.asarray(ROTATIONS), jnp.asarray(pivot))
-    for centre, scale, rotation, expected in zip(*starts, ROTATIONS, strict=True):
-        turned = Rotation.from_rotvec([0, 0, float(expected)]).apply([*(23.5 - pivot), 0])[:2]
-        np.testing.assert_allclose(centre, pivot + turned, atol=1e-4)
-        assert (scale, rotation) == (1, expected)
-    np.testing.assert_array_equal(starts.centre[2], [23.5, 23.5])  # not turned, not even rounded
+@pytest.mark.parametrize("space", [SPACE, shape_model_space(blob_faces(40, seed=3)[1])], ids=["points", "asm"])
+def test_turned_starts_have_the_bounding_square_of_the_upright_one(space):
+    starts = starts_of(space, FRAME, jnp.asarray([0.0, *ROTATIONS, np.pi / 2]))
+    faces = np.asarray(jax.vmap(lambda start: space.landmarks(space.place(start)))(starts))
+    middles = (faces.min(1) + faces.max(1)) / 2
+    np.testing.assert_allclose(middles, np.broadcast_to(middles[0], middles.shape), atol=1e-3)
+    sides = np.ptp(faces, 1).max(1)
+    np.testing.assert_allclose(sides, sides[0], rtol=1e-4)
+    np.testing.assert_allclose(starts.rotation, [0, *ROTATIONS, np.pi / 2])
+    np.testing.assert_allclose([*starts.centre[0], starts.scale[0]], [23.5, 23.5, 1], rtol=1e-6)
 
 
 @pytest.mark.parametrize("space", [SPACE, shape_model_space(blob_faces(40, seed=3)[1])], ids=["points", "asm"])
@@ -140,18 +142,22 @@ def test_a_turned_picture_is_no_harder_for_windows_that_turn(space, quarters):
         frame=FRAME,
     )
     turned_crops = np.rot90(CROPS, -quarters, (1, 2)).copy()  # clockwise
-    fits = np.asarray(fit_crops(cascade, CROPS, jnp.float32([0.2])))
-    still = replace(cascade, weights=0 * cascade.weights)
-    assert np.abs(fits - fit_crops(still, CROPS, jnp.float32([0.2]))).max() > 1
     turn = Rotation.from_rotvec([0, 0, quarters * np.pi / 2]).as_matrix()[:2, :2]
-    found = fit_crops(cascade, turned_crops, jnp.float32([0.2 + quarters * np.pi / 2]))
-    np.testing.assert_allclose(found, (fits - 23.5) @ turn.T + 23.5, atol=0.02)
+    start = Start(jnp.array([[22.0, 25.0]]), jnp.array([1.1]), jnp.array([0.2]))
+    centre = jnp.asarray((start.centre - 23.5) @ turn.T + 23.5, jnp.float32)
+    turned_start = Start(centre, start.scale, start.rotation + jnp.float32(quarters * np.pi / 2))
+    fit, still = jax.jit(fit_starts), replace(cascade, weights=0 * cascade.weights)
+    for crop, turned_crop in zip(CROPS, turned_crops, strict=True):
+        expected = np.asarray(fit(cascade, crop, start))
+        assert np.abs(expected - fit(still, crop, start)).max() > 1
+        found = fit(cascade, turned_crop, turned_start)
+        np.testing.assert_allclose(found, (expected - 23.5) @ turn.T + 23.5, atol=0.02)
 
 
 @pytest.mark.parametrize("descriptor", [Patch(), Patch(turns=True)], ids=["upright", "turning"])
 def test_a_face_goes_in_and_out_as_parameters_in_the_crop(descriptor):
     cascade = replace(random_cascade(descriptor, strength=0.1), biases=jnp.zeros((3, SPACE.size)))
-    start = starts_of(FRAME, jnp.float32([0.7]), jnp.full(2, 23.5))
+    start = starts_of(SPACE, FRAME, jnp.float32([0.7]))
     params = SPACE.place(jax.tree.map(lambda part: part[0], start))
     expected = fit_crops(cascade, CROPS[:1], jnp.float32([0.7]))[0]
     np.testing.assert_allclose(SPACE.landmarks(jax.jit(fit_face)(cascade, CROPS[0], params)), expected, atol=1e-2)
