@@ -181,5 +181,6 @@ def require_scheme(scheme: Scheme, faces: Sequence[FaceRecord]) -> None:
         if len(face.landmarks) != scheme.count:
             raise InputError(
                 f"the model finds {scheme.count} landmarks ({scheme.name}), but {face.image} is labelled "
-                f"with {len(face.landmarks)}; train a model on faces labelled like these"
+                f"with {len(face.landmarks)}; convert both to a scheme they share (--scheme), if there is one, or "
+                "train a model on faces labelled like these"
             )
