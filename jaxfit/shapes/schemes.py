@@ -157,6 +157,9 @@ _LOWER_BROWS = ("left_eyebrow_center_bottom", "right_eyebrow_center_bottom")
 LFPW27_NAMES = tuple(name for name in LFPW29_NAMES if name not in _LOWER_BROWS)
 LFPW27 = _without(LFPW29, [LFPW29_NAMES.index(name) for name in _LOWER_BROWS], "lfpw27")
 
+# Faces of which only the box and the pose are known. No model has it, and no option names it.
+NO_LANDMARKS = Scheme(name="none", count=0)
+
 SCHEMES = {scheme.name: scheme for scheme in (AFLW21, LFPW27, LFPW29, IBUG68)}
 
 

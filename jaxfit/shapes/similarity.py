@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.asm import ActiveShapeModel, learn_shape_model, likely_radius
 from jaxfit.shapes.procrustes import align_similarity, generalised_procrustes
-from jaxfit.shapes.space import Start, rotate
+from jaxfit.shapes.space import Start, rotate, wrapped
 from jaxfit.types import Landmarks, Params, Scalar
 
 _POSE = 5  # s_x, s_y, d_x, d_y, θ
@@ -56,7 +56,7 @@ class SimilarityASM:
         stretch may turn with the axes.
         """
         b, scales, place, theta = _parts(params)
-        return _joined(b, scales, rotate(place, angle), _wrapped(theta + angle))
+        return _joined(b, scales, rotate(place, angle), wrapped(theta + angle))
 
     def encode(self, landmarks: Landmarks) -> Params:
         """The least-squares parameters of known landmarks, b inside the ellipsoid.
@@ -84,7 +84,7 @@ class SimilarityASM:
         to_b, to_scales, to_place, to_theta = _parts(target)
         b, scales, place, theta = _parts(params)
         return _joined(
-            to_b - b, jnp.log(to_scales / scales), (to_place - place) / self.scale(params), _wrapped(to_theta - theta)
+            to_b - b, jnp.log(to_scales / scales), (to_place - place) / self.scale(params), wrapped(to_theta - theta)
         )
 
     def advance(self, params: Params, step: Float[Array, "params"]) -> Params:
@@ -96,7 +96,7 @@ class SimilarityASM:
         b, scales, place, theta = _parts(params)
         b_step, log_ratios, move, turn = _parts(step)
         return _joined(
-            b + b_step, scales * jnp.exp(log_ratios), place + self.scale(params) * move, _wrapped(theta + turn)
+            b + b_step, scales * jnp.exp(log_ratios), place + self.scale(params) * move, wrapped(theta + turn)
         )
 
 
@@ -159,11 +159,6 @@ def _parts(params: Params) -> tuple[Float[Array, "modes"], Float[Array, "2"], Fl
 
 def _joined(b: Float[Array, "modes"], scales: Float[Array, "2"], place: Float[Array, "2"], theta: Scalar) -> Params:
     return jnp.concatenate([b, scales, place, theta[None]])
-
-
-def _wrapped(angle: Scalar) -> Scalar:
-    """The same angle between -π and π."""
-    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
 
 
 def _least_squares(matrix: Float[Array, "rows params"], right: Float[Array, "rows"]) -> Float[Array, "params"]:

@@ -75,3 +75,8 @@ def rotate(points: Float[Array, "*n 2"], angle: Scalar) -> Float[Array, "*n 2"]:
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     x, y = jnp.moveaxis(points, -1, 0)
     return jnp.stack([x * cos - y * sin, x * sin + y * cos], -1)
+
+
+def wrapped(angle: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """The same angles, in radians, between -π and π."""
+    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
