@@ -23,14 +23,16 @@ from jaxfit.exceptions import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.shapes import SPACES
+from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.schemes import scheme_named
 
 FORMAT = 1
 SUFFIX = ".safetensors"
 
 _KEY = "jaxfit"
+_BUNDLED = "bundled"
 # What parsing may raise whatever the bytes.
-_DAMAGE = (
+DAMAGE = (
     SafetensorError,
     JaxfitError,
     LookupError,
@@ -52,14 +54,14 @@ def save(model: Model, path: str | Path) -> None:
             float16.
     """
     path = Path(path)
-    if path.suffix != SUFFIX or not path.parent.is_dir():
-        raise InputError(f"expected a file name ending in {SUFFIX} in a folder that exists; got {path}")
+    check_target(path)
     cascade = model.cascade
     tensors: dict[str, np.ndarray] = {
         "weights": _half(cascade.weights),
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
         **_arrays("space", cascade.space),
+        **({} if model.head is None else _arrays("head", model.head)),
     }
     header = {
         "format": FORMAT,
@@ -75,18 +77,12 @@ def save(model: Model, path: str | Path) -> None:
     }
     if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
         raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
-    # One metadata entry only: the format does not fix the order of several, and equal models must be equal files.
-    data = pack_tensors(tensors, {_KEY: json.dumps(header, sort_keys=True)})
-    with atomic_write(path) as file:
-        file.write(data)
+    write_tensors(path, tensors, _KEY, header)
 
 
 def bundled() -> list[str]:
     """Names of the models that come with the package."""
-    folder = resources.files("jaxfit.models") / "bundled"
-    if not folder.is_dir():
-        return []
-    return sorted(item.name.removesuffix(SUFFIX) for item in folder.iterdir() if item.name.endswith(SUFFIX))
+    return names_in(_BUNDLED)
 
 
 def load(name: str | Path) -> Model:
@@ -95,48 +91,95 @@ def load(name: str | Path) -> Model:
     Raises:
         ModelError: no such model, or a file that is damaged or of another format version.
     """
-    if str(name) in bundled():
-        data = (resources.files("jaxfit.models") / "bundled" / f"{name}{SUFFIX}").read_bytes()
-    else:
-        try:
-            data = Path(name).read_bytes()
-        except (OSError, ValueError) as error:
-            raise ModelError(
-                f"no model {str(name)!r}: expected one of the bundled models ({', '.join(bundled()) or 'none'}) or "
-                f"the path of a model file ({getattr(error, 'strerror', None) or error})"
-            ) from None
+    data = read_named(name, _BUNDLED, "model")
     try:
         return _parse(data)
     except ModelError as error:
         raise ModelError(f"{name}: {error}") from None
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise ModelError(f"{name}: not a jaxfit model, or damaged ({error}); copy or train it again") from None
 
 
-def _parse(data: bytes) -> Model:
+def check_target(path: Path) -> None:
+    """Refuse to write a file that could not be loaded again, or not be written.
+
+    Raises:
+        InputError: the name does not end in ``.safetensors``, or its folder does not exist.
+    """
+    if path.suffix != SUFFIX or not path.parent.is_dir():
+        raise InputError(f"expected a file name ending in {SUFFIX} in a folder that exists; got {path}")
+
+
+def write_tensors(path: Path, tensors: dict[str, np.ndarray], key: str, header: dict[str, Any]) -> None:
+    """Write arrays with a header, JSON values, under ``key``, atomically; equal ones give equal bytes."""
+    # One metadata entry only: the format does not fix the order of several, and equal models must be equal files.
+    data = pack_tensors(tensors, {key: json.dumps(header, sort_keys=True)})
+    with atomic_write(path) as file:
+        file.write(data)
+
+
+def names_in(folder: str) -> list[str]:
+    """Names of the files of ours in a folder of ``jaxfit.models`` that comes with the package."""
+    files = resources.files("jaxfit.models") / folder
+    if not files.is_dir():
+        return []
+    return sorted(item.name.removesuffix(SUFFIX) for item in files.iterdir() if item.name.endswith(SUFFIX))
+
+
+def read_named(name: str | Path, folder: str, kind: str) -> bytes:
+    """The bytes of a file of the package's ``folder``, by name, or of any file, by path; ``kind`` is for the message.
+
+    Raises:
+        ModelError: no such file.
+    """
+    names = names_in(folder)
+    if str(name) in names:
+        return (resources.files("jaxfit.models") / folder / f"{name}{SUFFIX}").read_bytes()
+    try:
+        return Path(name).read_bytes()
+    except (OSError, ValueError) as error:
+        raise ModelError(
+            f"no {kind} {str(name)!r}: expected one of the bundled {kind}s ({', '.join(names) or 'none'}) or "
+            f"the path of a {kind} file ({getattr(error, 'strerror', None) or error})"
+        ) from None
+
+
+def read_header(data: bytes, key: str, version: int, kind: str) -> dict[str, Any]:
+    """The header under ``key`` of a file's bytes, if its format is ``version``; ``kind`` is for the message.
+
+    Raises:
+        ModelError: there is no such header, or it has another version. Damaged bytes may raise any of ``DAMAGE``.
+    """
     length = int.from_bytes(data[:8], "little")
     metadata = json.loads(data[8 : 8 + length]).get("__metadata__", {})
-    if _KEY not in metadata:
-        raise ModelError("not a jaxfit model: a safetensors file without our header")
-    header = json.loads(metadata[_KEY])
-    if header["format"] != FORMAT:
+    if key not in metadata:
+        raise ModelError(f"not a jaxfit {kind}: a safetensors file without our header")
+    header = json.loads(metadata[key])
+    if header["format"] != version:
         raise ModelError(
-            f"model format {header['format']}, but this release reads format {FORMAT}; "
+            f"{kind} format {header['format']}, but this release reads format {version}; "
             "use the release it was made with, or train it again"
         )
+    return header
+
+
+def _parse(data: bytes) -> Model:
+    header = read_header(data, _KEY, FORMAT, "model")
     tensors = parse_tensors(data)
     cascade = _cascade(header, tensors)
     return Model(
         cascade=cascade,
         scheme=scheme_named(header["scheme"]),
         placements={kind: _placement(place) for kind, place in header["placements"].items()},
+        head=_head(header, tensors),
         training=header["training"],
     )
 
 
 def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
     count = scheme_named(header["scheme"]).count
-    space = _assembled("space", SPACES[header["space"]], tensors, {"landmarks": count})
+    kind = SPACES[header["space"]]
+    space = _assembled("space", kind, tensors, {"landmarks": count, "dimensions": 3 if kind is CameraASM else 2})
     options = dict(header["descriptor"])
     descriptor = DESCRIPTORS[options.pop("kind")](**options)
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
@@ -147,6 +190,8 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
     for name, tensor in tensors.items():
         if tensor.dtype not in (np.float16, np.float32) or not np.isfinite(tensor).all():
             raise ModelError(f"damaged: {name} has values that are not finite 16- or 32-bit numbers")
+        if name.endswith(".deviations") and not (tensor.size and (tensor > 0).all()):
+            raise ModelError(f"damaged: {name} must be larger than 0")
     if not (tensors["windows"] > 0).all():
         raise ModelError("damaged: descriptor windows must be larger than 0")
     return Cascade(
@@ -157,6 +202,14 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         descriptor=descriptor,
         frame=Frame(**header["frame"]),
     )
+
+
+def _head(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> CameraASM | None:
+    """What a model of 3D alignment aligns."""
+    if not any(name.startswith("head.") for name in tensors):
+        return None
+    count = scheme_named(header["scheme"]).count
+    return _assembled("head", CameraASM, tensors, {"landmarks": count, "dimensions": 3})
 
 
 def _arrays(name: str, part: Any) -> dict[str, np.ndarray]:
