@@ -1,5 +1,6 @@
 """The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -8,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.data.aflw import read_aflw
+from jaxfit.data.aflw2000 import read_aflw2000
 from jaxfit.data.lfpw import read_lfpw
+from jaxfit.data.pointing04 import read_pointing04
 from jaxfit.data.pts import read_pts_folder
 from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
@@ -21,6 +24,9 @@ FORMATS: dict[str, Callable[[Path], Dataset]] = {
     "pts0": partial(read_pts_folder, base=0),
     "aflw": read_aflw,
     "lfpw": read_lfpw,
+    "pointing04": read_pointing04,
+    "aflw2000": read_aflw2000,
+    "aflw2000-all": partial(read_aflw2000, most_degrees=math.inf),
 }
 
 
@@ -43,8 +49,10 @@ def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:
     A converted landmark is present, or visible, where all landmarks that it is made of are.
 
     Raises:
-        InputError: labels of this kind cannot be converted to ``scheme``.
+        InputError: labels of this kind cannot be converted to ``scheme``, or there are no landmarks to convert.
     """
+    if not dataset.scheme.count:
+        raise InputError(f"{dataset.spec}: its faces have no landmarks that could be converted to {scheme.name}")
     try:
         made_of = [list(indices) for indices in sources(dataset.scheme, scheme)]
     except InputError as error:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.exceptions import DatasetError
+from jaxfit.shapes.camera import PoseOrder
 from jaxfit.shapes.schemes import Scheme
 
 
@@ -21,9 +22,11 @@ class FaceRecord:
         present: (L,) bool, False where a landmark has no annotation.
         visible: (L,) bool, False where a landmark is hidden; all of ``present`` if the source does not say.
         box: (4,) x, y, width, height in pixels as given by the dataset, or None.
-        pose: (3,) roll, pitch, yaw in degrees (pitch > 0 looks up, yaw > 0 turns the nose to image left), or None.
+        pose: (3,) roll, pitch, yaw in degrees (pitch > 0 looks up, yaw > 0 turns the nose to image left, roll > 0 is
+            clockwise in the image), NaN for an angle that is not known, or None.
         subject: pictures of the same subject are never split between training and testing.
         face: identifies the face within its dataset: file stem, or the dataset's own number.
+        pose_order: what the angles of ``pose`` mean; the same head has other angles in another order.
     """
 
     image: Path
@@ -34,11 +37,12 @@ class FaceRecord:
     pose: np.ndarray | None
     subject: str
     face: str
+    pose_order: PoseOrder = "roll-pitch-yaw"
 
     @property
     def complete(self) -> bool:
-        """Whether every landmark is annotated."""
-        return bool(self.present.all())
+        """Whether every landmark is annotated; never true of a face that has none."""
+        return self.present.size > 0 and bool(self.present.all())
 
 
 @dataclass(frozen=True)
