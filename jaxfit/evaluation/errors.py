@@ -1,4 +1,4 @@
-"""How far fitted landmarks are from the true ones: the normalised mean Euclidean distance (NMED, Eq. 16)."""
+"""How far fitted landmarks are from the true ones, in 2D and 3D: normalised mean Euclidean distance (NMED, Eq. 16)."""
 
 import numpy as np
 
@@ -17,11 +17,11 @@ def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.
     """The length, in pixels, that errors are divided by.
 
     ``outer`` is the distance of the outer eye corners, our reading of Eq. 16's inter-ocular distance;
-    ``pupil`` that of the pupil centres; ``box`` the side of the smallest upright square around the annotated
+    ``pupil`` that of the pupil centres; ``box`` the side of the smallest upright square (or cube) around the annotated
     points, which does not vanish on profile faces.
 
     Args:
-        truth: (..., L, 2) true landmarks in pixels; NaN where unknown.
+        truth: (..., L, D) true landmarks in pixels, in 2D or 3D; NaN where unknown.
         scheme: what the landmarks mean.
         normaliser: one of ``NORMALISERS``.
 
@@ -31,8 +31,11 @@ def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.
     Raises:
         InputError: ``truth`` does not match the scheme, the normaliser is unknown, or the scheme lacks it.
     """
-    if np.shape(truth)[-2:] != (scheme.count, 2):
-        raise InputError(f"landmarks of scheme {scheme.name} must be (..., {scheme.count}, 2); got {np.shape(truth)}")
+    if np.shape(truth)[-2:] not in ((scheme.count, 2), (scheme.count, 3)):
+        raise InputError(
+            f"landmarks of scheme {scheme.name} must be (..., {scheme.count}, 2) or (..., {scheme.count}, 3); "
+            f"got {np.shape(truth)}"
+        )
     points = _annotated(truth)
     if normaliser == "box":
         lengths = _square_side(points)
@@ -46,8 +49,9 @@ def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str 
     """Normalised mean Euclidean distance of each face over its annotated landmarks, Eq. 16.
 
     Args:
-        fitted: (N, L, 2) fitted landmarks in pixels; NaN if the face was not found or the picture not read.
-        truth: (N, L, 2) true landmarks in pixels; NaN where unknown.
+        fitted: (N, L, D) fitted landmarks in pixels, in 2D or 3D; NaN if the face was not found or the picture not
+            read.
+        truth: (N, L, D) true landmarks in pixels; NaN where unknown.
         scheme: what the landmarks mean.
         normaliser: one of ``NORMALISERS``.
 
@@ -57,11 +61,11 @@ def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str 
         all methods are measured on the same faces.
 
     Raises:
-        InputError: the arrays are not both (N, L, 2) with the scheme's L, or see ``normaliser_length``.
+        InputError: the arrays are not both (N, L, D) with the scheme's L, or see ``normaliser_length``.
     """
     if np.ndim(truth) != 3 or np.shape(fitted) != np.shape(truth):
         raise InputError(
-            f"fitted and true landmarks must both be (faces, {scheme.count}, 2); "
+            f"fitted and true landmarks must both be (faces, {scheme.count}, 2) or both (faces, {scheme.count}, 3); "
             f"got {np.shape(fitted)} and {np.shape(truth)}"
         )
     lengths = normaliser_length(truth, scheme, normaliser)
@@ -79,9 +83,8 @@ def _annotated(truth: np.ndarray) -> np.ndarray:
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    difference = a - b
     # hypot, because the squares of a fit that ran away can overflow.
-    return np.asarray(np.hypot(difference[..., 0], difference[..., 1]))
+    return np.asarray(np.hypot.reduce(a - b, axis=-1))
 
 
 def _square_side(points: np.ndarray) -> np.ndarray:

@@ -1,9 +1,9 @@
-"""Figures of errors, shape models and descriptors; needs matplotlib, the optional extra ``plots``."""
+"""Figures of errors, pose errors, shape models and descriptors; needs matplotlib, the optional extra ``plots``."""
 
 import math
 from collections.abc import Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -11,6 +11,7 @@ from jax import numpy as jnp
 
 from jaxfit.descriptors.sift import BINS, CELLS, Sift
 from jaxfit.evaluation.curves import LIMIT, auc, ced
+from jaxfit.evaluation.pose import PoseGrid
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.schemes import Scheme
@@ -198,6 +199,45 @@ def plot_descriptor(
         ylabel="y [crop pixels]",
     )
     return ax
+
+
+def plot_pose_surface(
+    grid: PoseGrid, ax: "matplotlib.axes.Axes | None" = None, title: str = ""
+) -> "matplotlib.axes.Axes":
+    """Mean absolute error of one angle as a surface over true pitch and yaw (thesis, Figures 20 and 21).
+
+    Height and colour are the error. The surface spans cells whose neighbours have faces too; dots mark every cell
+    with faces, so that poses on their own are seen as well.
+
+    Args:
+        grid: of the angle.
+        ax: three-dimensional axes to draw on; a new figure if None.
+        title: of the axes.
+
+    Returns:
+        The axes drawn on.
+
+    Raises:
+        InputError: matplotlib is missing, the axes are not three-dimensional, or no cell of the grid has faces.
+    """
+    known = np.isfinite(grid.mean)
+    if not known.any():
+        raise InputError("the pose grid has no face that was found and whose pose is known: there is nothing to draw")
+    if ax is not None and ax.name != "3d":
+        raise InputError(f'expected axes made with projection="3d"; got {ax.name} axes')
+    solid: Any = ax if ax is not None else _pyplot().subplots(subplot_kw={"projection": "3d"})[1]
+    yaw, pitch = np.meshgrid(grid.yaws, grid.pitches)
+    highest = float(grid.mean[known].max()) or 1.0  # all errors may be zero
+    # Strides of 1: by default large grids are thinned.
+    net = {"rstride": 1, "cstride": 1, "edgecolor": "0.3", "linewidth": 0.3}
+    solid.plot_surface(yaw, pitch, grid.mean, cmap="viridis", vmin=0.0, vmax=highest, **net)
+    solid.scatter(yaw[known], pitch[known], grid.mean[known], color="black", s=2)
+    solid.set(xlabel="true yaw [°]", ylabel="true pitch [°]", zlabel="mean absolute error [°]", zlim=(0.0, highest))
+    solid.set_title(title)
+    solid.view_init(elev=40.0, azim=-60.0)  # high enough to look into the valley of frontal poses
+    for axis in ("x", "y"):
+        solid.locator_params(axis, nbins=7, steps=[1, 1.5, 3, 6, 10])  # angles read best by 15, 30 or 60
+    return solid
 
 
 def _pyplot() -> ModuleType:

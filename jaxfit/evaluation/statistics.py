@@ -46,12 +46,12 @@ class Summary:
             "undetected": self.failed,
             "unmeasured": self.unmeasured,
             "nmed": {
-                "mean": _finite_or_none(self.mean),
-                "ci95": _finite_or_none(self.ci95),
-                "median": _finite_or_none(self.median),
+                "mean": finite_or_none(self.mean),
+                "ci95": finite_or_none(self.ci95),
+                "median": finite_or_none(self.median),
             },
-            f"auc_{self.limit:g}": _finite_or_none(self.auc),
-            f"failure_{self.limit:g}": _finite_or_none(self.failure),
+            f"auc_{self.limit:g}": finite_or_none(self.auc),
+            f"failure_{self.limit:g}": finite_or_none(self.failure),
         }
 
 
@@ -119,12 +119,13 @@ def signed_rank(a: np.ndarray, b: np.ndarray) -> float:
     return float(stats.wilcoxon(np.sign(difference) * stats.rankdata(np.abs(difference))).pvalue)
 
 
+def finite_or_none(value: float) -> float | None:
+    """The value for a JSON file, which has no word for infinity and NaN."""
+    return value if math.isfinite(value) else None
+
+
 def _mean_ci95(values: np.ndarray) -> float:
     """Half-width of the Student t interval of the mean of (N,) finite values; NaN below two."""
     if values.size < 2:
         return math.nan
     return float(stats.t.ppf(0.975, values.size - 1) * values.std(ddof=1) / math.sqrt(values.size))
-
-
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None

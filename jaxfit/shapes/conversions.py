@@ -47,12 +47,15 @@ def sources(source: Scheme, target: Scheme) -> Sources:
 
 
 def convert(landmarks: np.ndarray, source: Scheme, target: Scheme) -> np.ndarray:
-    """Landmarks (..., L, 2) of the scheme ``source`` as landmarks (..., M, 2) of ``target``; what needs a NaN is NaN.
+    """Landmarks (..., L, D) of the scheme ``source`` as landmarks (..., M, D) of ``target``; what needs a NaN is NaN.
 
     Raises:
         InputError: the conversion is not known, or ``landmarks`` are not of ``source``.
     """
     points = np.asarray(landmarks)
-    if points.shape[-2:] != (source.count, 2):
-        raise InputError(f"landmarks of scheme {source.name} must be (..., {source.count}, 2); got {points.shape}")
+    if points.shape[-2:] not in ((source.count, 2), (source.count, 3)):
+        raise InputError(
+            f"landmarks of scheme {source.name} must be (..., {source.count}, 2) or (..., {source.count}, 3); "
+            f"got {points.shape}"
+        )
     return np.stack([points[..., list(indices), :].mean(-2) for indices in sources(source, target)], -2)

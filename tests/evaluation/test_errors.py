@@ -30,6 +30,25 @@ def test_nmed_by_hand(normaliser: str, length: float) -> None:
     np.testing.assert_allclose(nmed(fitted, truth, FIVE, normaliser), [7.0 / 5.0 / length])
 
 
+@pytest.mark.parametrize(("normaliser", "length"), [("outer", 15.0), ("pupil", 9.0), ("box", 20.0)])
+def test_nmed_in_3d_by_hand(normaliser: str, length: float) -> None:
+    truth = np.array([[[0.0, 0.0, 0.0], [10.0, 10.0, 5.0], [2.0, 2.0, 0.0], [4.0, 4.0, 1.0], [5.0, 12.0, 20.0]]])
+    fitted = truth.copy()
+    fitted[0, 0] += (2.0, 3.0, 6.0)  # 7 px
+    fitted[0, 4] += (0.0, 0.0, -2.0)  # 2 px
+    np.testing.assert_allclose(normaliser_length(truth, FIVE, normaliser), [length])
+    np.testing.assert_allclose(nmed(fitted, truth, FIVE, normaliser), [9.0 / 5.0 / length])
+
+
+def test_without_its_depth_a_point_is_not_annotated() -> None:
+    truth = np.concatenate([five_points(), np.ones((1, 5, 1))], 2)
+    fitted = truth + [3.0, 0.0, 4.0]
+    fitted[0, 4], truth[0, 4, 2] = 1e6, np.nan
+    np.testing.assert_allclose(nmed(fitted, truth, FIVE), [0.5])
+    truth[0, 0, 2] = np.nan
+    assert np.isnan(nmed(fitted, truth, FIVE)).all()
+
+
 def test_the_default_is_the_outer_eye_corners() -> None:
     fitted, truth = random_faces(0), random_faces(1)
     np.testing.assert_array_equal(nmed(fitted, truth, IBUG68), nmed(fitted, truth, IBUG68, "outer"))
@@ -155,10 +174,11 @@ def test_unknown_normaliser() -> None:
         ((2, 29, 2), (3, 29, 2)),
         ((2, 21, 2), (2, 21, 2)),
         ((29, 2), (29, 2)),
-        ((2, 29, 3), (2, 29, 3)),
+        ((2, 29, 4), (2, 29, 4)),
+        ((2, 29, 3), (2, 29, 2)),
         ((1, 29, 2), (2, 29, 2)),
     ],
 )
 def test_wrong_shapes(fitted: tuple[int, ...], truth: tuple[int, ...]) -> None:
-    with pytest.raises(InputError, match="29, 2"):
+    with pytest.raises(InputError, match=r"29, 2\) or .*29, 3\)"):
         nmed(np.zeros(fitted), np.zeros(truth), LFPW29)

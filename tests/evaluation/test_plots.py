@@ -1,4 +1,4 @@
-"""Figures show what they were given, curves, modes and descriptors, and say what to install when they cannot."""
+"""Figures show what they were given, curves, modes, descriptors, surfaces, and say what to install when they cannot."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -10,7 +10,8 @@ from scipy import ndimage
 
 from jaxfit.descriptors.sift import Sift, principal_orientation, upright_window
 from jaxfit.evaluation.curves import ced
-from jaxfit.evaluation.plots import plot_ced, plot_descriptor, plot_modes
+from jaxfit.evaluation.plots import plot_ced, plot_descriptor, plot_modes, plot_pose_surface
+from jaxfit.evaluation.pose import PoseGrid
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.schemes import IBUG68, Scheme
@@ -196,14 +197,74 @@ def test_descriptors_that_cannot_be_drawn(crop: np.ndarray) -> None:
             plot_descriptor(Sift(), crop, point, side, angle)
 
 
+def pose_grid_of(mean: np.ndarray) -> PoseGrid:
+    """A grid by 15 degrees from -30 up; NaN are cells without faces."""
+    pitches, yaws = (15.0 * np.arange(size) - 30 for size in mean.shape)
+    count = np.isfinite(mean).astype(int)
+    return PoseGrid(pitches, yaws, mean, count, 1 - count)
+
+
+POSE_GRID = pose_grid_of(np.array([[np.nan, 9.0, np.nan, np.nan], [1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, np.nan]]))
+
+
+def test_pose_surface(pyplot) -> None:
+    ax = plot_pose_surface(POSE_GRID, title="yaw")
+    surface, dots = ax.collections
+    # A dot for every cell with faces, at (yaw, pitch, error).
+    drawn = np.ma.getdata(np.stack(dots._offsets3d, axis=1))
+    expected = [(15.0 * j - 30, 15.0 * i - 30, e) for (i, j), e in np.ndenumerate(POSE_GRID.mean) if np.isfinite(e)]
+    np.testing.assert_allclose(sorted(drawn.tolist()), sorted(expected))
+    # Between four cells a patch, as bright as the mean of those with faces; rows of patches from the lowest pitch.
+    brightness = [
+        (9 + 1 + 2) / 3,
+        (9 + 2 + 3) / 3,
+        (3 + 4) / 2,
+        (1 + 2 + 5 + 6) / 4,
+        (2 + 3 + 6 + 7) / 4,
+        (3 + 4 + 7) / 3,
+    ]
+    np.testing.assert_allclose(surface.get_array(), brightness)
+    assert surface.get_clim() == ax.get_zlim() == (0.0, 9.0)
+    assert (ax.get_title(), ax.get_xlabel()[:8], ax.get_ylabel()[:10]) == ("yaw", "true yaw", "true pitch")
+    ax.figure.canvas.draw()
+
+
+@pytest.mark.parametrize(
+    "mean",
+    [
+        np.zeros((3, 3)),
+        np.array([[4.0]]),
+        np.array([[1.0, np.nan, 2.0]]),
+        np.array([[1.0, np.nan], [np.nan, 2.0]]),
+        np.ones((60, 70)),
+    ],
+    ids=["perfect", "one cell", "one pitch", "apart", "large"],
+)
+def test_pose_surfaces_of_odd_grids(pyplot, mean: np.ndarray) -> None:
+    ax = pyplot.subplots(subplot_kw={"projection": "3d"})[1]
+    assert plot_pose_surface(pose_grid_of(mean), ax) is ax
+    assert len(ax.collections[1].get_offsets()) == np.isfinite(mean).sum()
+    assert ax.get_zlim()[1] > 0
+    ax.figure.canvas.draw()
+
+
+def test_pose_surfaces_that_cannot_be_drawn(pyplot) -> None:
+    for nothing in (np.full((2, 2), np.nan), np.empty((0, 0))):
+        with pytest.raises(InputError, match="nothing to draw"):
+            plot_pose_surface(pose_grid_of(nothing))
+    with pytest.raises(InputError, match='projection="3d"; got rectilinear'):
+        plot_pose_surface(POSE_GRID, pyplot.subplots()[1])
+
+
 @pytest.mark.parametrize(
     "plot",
     [
         lambda crop: plot_ced(ERRORS),
         lambda crop: plot_modes(shape_model(), SQUARE),
         lambda crop: plot_descriptor(Sift(), crop, POINT, SIDE),
+        lambda crop: plot_pose_surface(POSE_GRID),
     ],
-    ids=["ced", "modes", "descriptor"],
+    ids=["ced", "modes", "descriptor", "pose surface"],
 )
 def test_without_matplotlib(plot: Callable, crop: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)

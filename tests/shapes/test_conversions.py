@@ -41,6 +41,15 @@ def test_every_point_is_the_mean_of_its_sources(source, target):
 
 
 @every_conversion
+def test_depths_are_converted_as_the_other_coordinates(source, target):
+    faces = random_faces(source)
+    solid = np.concatenate([faces, faces[..., :1]], -1)
+    converted = convert(solid, source, target)
+    np.testing.assert_array_equal(converted[..., :2], convert(faces, source, target))
+    np.testing.assert_array_equal(converted[..., 2], converted[..., 0])
+
+
+@every_conversion
 def test_mirroring_before_or_after_is_the_same(source, target):
     faces = random_faces(source)
     flipped = convert(mirrored(faces, 100.0, source), source, target)
@@ -87,8 +96,9 @@ def test_impossible_conversions_are_told_the_possible_ones():
 
 
 def test_landmarks_of_another_scheme_are_refused():
-    with pytest.raises(InputError, match=r"\(\.\.\., 68, 2\); got \(21, 2\)"):
-        convert(np.zeros((21, 2)), IBUG68, AFLW21)
+    for shape in ((21, 2), (21, 3), (68, 4), (68,)):
+        with pytest.raises(InputError, match=r"\(\.\.\., 68, 2\) or \(\.\.\., 68, 3\); got \(" + str(shape[0])):
+            convert(np.zeros(shape), IBUG68, AFLW21)
 
 
 @pytest.mark.parametrize(

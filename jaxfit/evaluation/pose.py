@@ -1,0 +1,289 @@
+"""Errors of head pose: signed errors, summaries of each angle, and means over true pitch and yaw (section 5.4).
+
+Everywhere here a pose is roll, pitch and yaw in degrees. A fitted pose that is not finite is a face that was not
+found, and a true angle that is not finite is unknown. Angles that differ by whole turns are the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+from jaxfit.evaluation.statistics import finite_or_none, rank_sum, summarise
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError
+from jaxfit.shapes.camera import PoseOrder
+
+# The columns of poses, in this order.
+ANGLES = ("roll", "pitch", "yaw")
+
+# The columns of a table of pose errors in degrees, whose rows ``pose_rows`` makes.
+POSE_COLUMNS = {
+    "range": "",
+    "angle": "",
+    "faces": "d",
+    "no fit": "d",
+    "MAE": ".2f",
+    "± 95 %": ".2f",
+    "median": ".2f",
+    "bias": "+.2f",
+    "Spearman": ".3f",
+}
+
+_FRONTAL = 45.0  # degrees of true yaw, beyond which much of one side of the face is hidden
+_RANGE_LABELS = {"all": "all", f"yaw_within_{_FRONTAL:g}": f"|yaw| ≤ {_FRONTAL:g}°"}
+
+
+def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
+    """Poses (N, 3) as jaxfit gives them, in Eq. 15's order, in the orders that the faces' true poses are given in.
+
+    Raises:
+        InputError: the poses are not (N, 3).
+    """
+    poses = _poses(poses).copy()
+    rows = np.flatnonzero(np.isfinite(poses).all(1) & (np.array(orders) == "roll-yaw-pitch"))
+    if len(rows):
+        roll, pitch, yaw = poses[rows].T
+        # About axes that turn with the head; y is down, so that looking up turns against the axis.
+        turns = Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
+        pitch, yaw, roll = turns.as_euler("XYZ", degrees=True).T * [[-1], [1], [1]]
+        poses[rows] = np.stack([roll, pitch, yaw], 1)
+    return poses
+
+
+def pose_errors(fitted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Signed errors of each angle, fitted minus true, the shorter way round.
+
+    Args:
+        fitted: (N, 3) roll, pitch, yaw, degrees; a row that is not finite is a face that was not found.
+        truth: (N, 3) of the same faces; NaN where an angle is unknown.
+
+    Returns:
+        (N, 3) degrees in [-180, 180); ``inf`` where the face was not found, NaN where the true angle is unknown.
+
+    Raises:
+        InputError: the poses are not both (N, 3).
+    """
+    fitted, truth = _poses(fitted), _poses(truth)
+    if fitted.shape != truth.shape:
+        raise InputError(f"fitted and true poses must be of the same faces; got {len(fitted)} and {len(truth)} poses")
+    lost = np.isnan(fitted).any(axis=1, keepdims=True)
+    return np.where(lost & ~np.isnan(truth), np.inf, _wrapped(fitted - truth))
+
+
+@dataclass(frozen=True)
+class AngleSummary:
+    """What is reported of one angle over a set of faces, in degrees.
+
+    Attributes:
+        faces: faces whose true angle is known.
+        undetected: those of them that were not found.
+        mae: mean absolute error of the found.
+        ci95: half the width of the 95 % confidence interval of ``mae``.
+        median: median absolute error, in which a face that was not found has the worst of errors.
+        bias: mean signed error of the found.
+        spearman: rank correlation of fitted and true angles of the found; NaN below three or if either is constant.
+    """
+
+    faces: int
+    undetected: int
+    mae: float
+    ci95: float
+    median: float
+    bias: float
+    spearman: float
+
+    def as_json(self) -> dict[str, float | None]:
+        """The numbers without the counts for a JSON file; None where one is not finite."""
+        values = (self.mae, self.ci95, self.median, self.bias, self.spearman)
+        return dict(zip(("mae", "ci95", "median", "bias", "spearman"), map(finite_or_none, values), strict=True))
+
+
+def summarise_pose(fitted: np.ndarray, truth: np.ndarray) -> dict[str, AngleSummary]:
+    """Summary of each of ``ANGLES`` for poses (N, 3); see ``pose_errors``.
+
+    What too few faces leave undefined is NaN.
+
+    Raises:
+        InputError: the poses are not both (N, 3).
+    """
+    columns = zip(ANGLES, pose_errors(fitted, truth).T, _poses(fitted).T, _poses(truth).T, strict=True)
+    return {angle: _summarise_angle(*column) for angle, *column in columns}
+
+
+def pose_report(fitted: np.ndarray, truth: np.ndarray) -> dict[str, dict[str, object]]:
+    """Everything about poses (N, 3) for a JSON file: of all faces, and of those with a true yaw within 45 degrees.
+
+    For each range the numbers of faces with a true angle known and of those not found, and for each angle what
+    ``AngleSummary.as_json`` says.
+
+    Raises:
+        InputError: the poses are not both (N, 3).
+    """
+    return {
+        key: {
+            "faces": int((~np.isnan(errors)).any(axis=1).sum()),
+            "undetected": int(np.isinf(errors).any(axis=1).sum()),
+            **{angle: summary.as_json() for angle, summary in summaries.items()},
+        }
+        for key, errors, summaries in _by_range(fitted, truth)
+    }
+
+
+def pose_rows(fitted: np.ndarray, truth: np.ndarray) -> list[dict[str, object]]:
+    """The rows of ``POSE_COLUMNS`` for poses (N, 3), one for each range of yaw and angle.
+
+    Angles of which the truth is unknown throughout a range have no row. Only the median counts faces that were not
+    found.
+
+    Raises:
+        InputError: the poses are not both (N, 3).
+    """
+    rows = []
+    for key, _, summaries in _by_range(fitted, truth):
+        for angle, of in summaries.items():
+            if of.faces:
+                numbers = (of.faces, of.undetected, of.mae, of.ci95, of.median, of.bias, of.spearman)
+                rows.append(dict(zip(POSE_COLUMNS, (_RANGE_LABELS[key], angle, *numbers), strict=True)))
+    return rows
+
+
+def compare_pose(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
+    """Two-sided p-value for each of ``ANGLES`` that the absolute errors of two methods differ (Table 7).
+
+    Args:
+        a: (N, 3) signed errors, of ``pose_errors``; the test is ``rank_sum``.
+        b: (M, 3) of the other method.
+
+    Raises:
+        InputError: the errors are not (N, 3) and (M, 3).
+    """
+    columns = zip(ANGLES, _triples(a, "pose errors").T, _triples(b, "pose errors").T, strict=True)
+    return {angle: rank_sum(np.abs(of_a), np.abs(of_b)) for angle, of_a, of_b in columns}
+
+
+@dataclass(frozen=True)
+class PoseGrid:
+    """Mean absolute errors of one angle over true pitch and yaw (Figures 20 and 21, Appendices D and E).
+
+    Attributes:
+        pitches: (P,) true pitches of the rows, degrees, ascending.
+        yaws: (Y,) true yaws of the columns, degrees, ascending.
+        mean: (P, Y) mean absolute error of the faces found, degrees; NaN without such faces.
+        count: (P, Y) faces found, which the mean is of.
+        undetected: (P, Y) faces that were not found.
+    """
+
+    pitches: np.ndarray
+    yaws: np.ndarray
+    mean: np.ndarray
+    count: np.ndarray
+    undetected: np.ndarray
+
+
+def pose_grid(
+    errors: np.ndarray, truth: np.ndarray, pitches: np.ndarray | None = None, yaws: np.ndarray | None = None
+) -> PoseGrid:
+    """Mean absolute error of one angle by true pitch and yaw; faces where one of the three is unknown are left out.
+
+    Args:
+        errors: (N,) signed or absolute errors of the angle: a column of ``pose_errors``.
+        truth: (N, 3) true roll, pitch and yaw of the same faces.
+        pitches: (P,) centres of the rows, degrees: a face belongs to the nearest, however far. None, for data of
+            discrete poses: the distinct true pitches, to 0.01 degrees.
+        yaws: (Y,) centres of the columns, likewise.
+
+    Raises:
+        InputError: there is not one error and one true pose a face, or the centres are not finite numbers.
+    """
+    errors, truth = np.abs(np.asarray(errors, dtype=np.float64)), _wrapped(_poses(truth))
+    if errors.shape != truth.shape[:1]:
+        raise InputError(f"expected the errors of one angle, one for each of {len(truth)} poses; got {errors.shape}")
+    used = ~(np.isnan(errors) | np.isnan(truth[:, 1:]).any(axis=1))
+    errors, (_, true_pitch, true_yaw) = errors[used], truth[used].T
+    pitches, rows = _bins(true_pitch, pitches)
+    yaws, columns = _bins(true_yaw, yaws)
+    shape = (len(pitches), len(yaws))
+    cells = rows * len(yaws) + columns
+    found = np.isfinite(errors)
+
+    def per_cell(faces: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        return np.bincount(cells[faces], weights, minlength=math.prod(shape)).reshape(shape)
+
+    total, count = per_cell(found, errors[found]), per_cell(found)
+    mean = np.divide(total, count, out=np.full(shape, np.nan), where=count > 0)
+    return PoseGrid(pitches, yaws, mean, count, per_cell(~found))
+
+
+def pose_grid_table(grid: PoseGrid) -> str:
+    """A Markdown table of the grid's means: rows are true pitches and columns true yaws (Appendices D and E)."""
+    headings = [f"{yaw:g}" for yaw in grid.yaws]
+    rows = [
+        {"pitch \\ yaw": pitch, **dict(zip(headings, means, strict=True))}
+        for pitch, means in zip(grid.pitches, grid.mean, strict=True)
+    ]
+    return markdown_table(rows, {"pitch \\ yaw": "g", **dict.fromkeys(headings, ".2f")})
+
+
+def _by_range(fitted: np.ndarray, truth: np.ndarray) -> list[tuple[str, np.ndarray, dict[str, AngleSummary]]]:
+    """For each range of true yaw its key, and the errors (M, 3) and summaries of the faces within."""
+    errors = pose_errors(fitted, truth)
+    fitted, truth = _poses(fitted), _poses(truth)
+    frontal = np.abs(_wrapped(truth[:, ANGLES.index("yaw")])) <= _FRONTAL
+    masks = (np.ones(len(truth), dtype=bool), frontal)
+    return [
+        (key, errors[within], summarise_pose(fitted[within], truth[within]))
+        for key, within in zip(_RANGE_LABELS, masks, strict=True)
+    ]
+
+
+def _summarise_angle(errors: np.ndarray, fitted: np.ndarray, truth: np.ndarray) -> AngleSummary:
+    absolute = summarise(np.abs(errors))
+    found = np.isfinite(errors)
+    return AngleSummary(
+        faces=absolute.measured + absolute.failed,
+        undetected=absolute.failed,
+        mae=absolute.mean,
+        ci95=absolute.ci95,
+        median=absolute.median,
+        bias=float(errors[found].mean()) if found.any() else math.nan,
+        spearman=_rank_correlation(_wrapped(fitted[found]), _wrapped(truth[found])),
+    )
+
+
+def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Spearman's coefficient of (N,) and (N,); NaN below three pairs or if either is constant."""
+    if a.size < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
+        return math.nan
+    return float(stats.spearmanr(a, b).statistic)
+
+
+def _bins(values: np.ndarray, centres: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Ascending centres (C,), and (N,) the index of the one that each value belongs to."""
+    if centres is None:
+        return np.unique(np.round(values, 2) + 0.0, return_inverse=True)  # + 0.0 turns -0 into 0
+    centres = np.unique(np.asarray(centres, dtype=np.float64))
+    if not (centres.size and np.isfinite(centres).all()):
+        raise InputError(f"a pose grid needs at least one pitch and one yaw, all finite; got {centres}")
+    return centres, np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
+
+
+def _poses(poses: np.ndarray) -> np.ndarray:
+    """Poses (N, 3), float64, NaN wherever they are not finite."""
+    poses = _triples(poses, "poses")
+    return np.where(np.isfinite(poses), poses, np.nan)
+
+
+def _triples(values: np.ndarray, what: str) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 2 or values.shape[1] != len(ANGLES):
+        raise InputError(f"{what} must be roll, pitch and yaw of each face, (faces, 3); got {values.shape}")
+    return values
+
+
+def _wrapped(angles: np.ndarray) -> np.ndarray:
+    """Angles in degrees, brought into [-180, 180)."""
+    return (angles + 180.0) % 360.0 - 180.0
