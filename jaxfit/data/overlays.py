@@ -1,15 +1,27 @@
-"""Landmarks drawn over pictures."""
+"""Landmarks and heads drawn over pictures."""
 
 from itertools import pairwise
 
 import cv2
 import numpy as np
+from jax import numpy as jnp
 
 from jaxfit.data.boxes import bounding_square
 from jaxfit.exceptions import InputError
+from jaxfit.shapes.camera import pose_rotation
 from jaxfit.shapes.schemes import Scheme
 
 _CYAN, _RED, _YELLOW = (0, 255, 255), (255, 60, 60), (255, 220, 0)
+_AXES = ((255, 0, 0), (0, 230, 0), (40, 90, 255))  # colours of the head's x, y and z
+_AXIS = 0.6  # length of an axis, in sizes of the face
+_FRONT, _BEHIND = (255, 70, 200), (150, 60, 130)  # colours of the head box
+_MARGIN = 0.1  # between the landmarks and the head box, in sizes of the face
+_BOLD = 3.0  # thickness of the axes and of the head box's front, in landmarks' lines
+_DARKEST = 0.1  # of the colour map; below, far points vanish in dark pictures
+# A cuboid's corners, front face first, as which end of x, y and z they lie at, and the edges between them.
+_CORNERS = np.array([[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
+_FRONT_EDGES = ((0, 1, 2, 3, 0),)
+_OTHER_EDGES = ((4, 5, 6, 7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 _BITS = 4  # OpenCV takes coordinates as integers; these are binary digits after the point
 _FARTHEST = 2.0**15  # pixels; beyond, OpenCV's integers overflow
 
@@ -35,14 +47,69 @@ def draw_landmarks(
     Raises:
         InputError: not as many landmarks as the scheme has.
     """
+    canvas = _canvas(rgb, box)
+    for points, colour in ((truth, _RED), (landmarks, _CYAN)):
+        if points is not None:
+            _face(canvas, points, scheme, colour)
+    return canvas
+
+
+def draw_head(
+    rgb: np.ndarray,
+    landmarks_3d: np.ndarray,
+    pose: np.ndarray,
+    scheme: Scheme,
+    box: np.ndarray | None = None,
+    truth: np.ndarray | None = None,
+) -> np.ndarray:
+    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a 3D fit drawn over it.
+
+    Landmarks are the brighter and warmer the nearer they are. A cross at their mean shows the head's axes: x (red) and
+    y (green) point to image right and down in a frontal face, z (blue) where the face looks. A cuboid, its front face
+    drawn brighter, encloses the head. What is NaN, and what depends on it, is left out.
+
+    Args:
+        rgb: (H, W, 3) or (H, W) uint8.
+        landmarks_3d: (L, 3) x and y in pixels, z in the same units, away from the viewer.
+        pose: (3,) roll, pitch, yaw in degrees.
+        scheme: says which points lines join.
+        box: (4,) x, y, width, height of the face box, drawn in yellow.
+        truth: (L, 2) pixels, the labels, drawn in red below all else but the box.
+
+    Raises:
+        InputError: not as many landmarks as the scheme has, or a pose that is not three angles.
+    """
+    if landmarks_3d.shape != (scheme.count, 3):
+        raise InputError(f"expected ({scheme.count}, 3) landmarks of scheme {scheme.name}, got {landmarks_3d.shape}")
+    if pose.shape != (3,):
+        raise InputError(f"expected a pose (3,) of roll, pitch and yaw, got {pose.shape}")
+    canvas = _canvas(rgb, box)
+    if truth is not None:
+        _face(canvas, truth, scheme, _RED)
+    known = np.isfinite(landmarks_3d).all(1)
+    if not known.any():
+        return canvas
+    points = np.where(known[:, None], np.clip(landmarks_3d, -_FARTHEST, _FARTHEST), np.nan)
+    if not np.isfinite(pose).all():
+        _depths(canvas, points, scheme)
+        return canvas
+    rotation = np.asarray(pose_rotation(jnp.asarray(pose, jnp.float32)), np.float64)
+    corners, size = _head_box(points[known], rotation)
+    thickness = _thickness(points[:, :2], canvas)
+    _lines(canvas, corners[:, :2], _OTHER_EDGES, _BEHIND, thickness)
+    _lines(canvas, corners[:, :2], _FRONT_EDGES, _FRONT, _BOLD * thickness)
+    _depths(canvas, points, scheme)
+    _axes(canvas, points[known].mean(0), rotation * _AXIS * size, _BOLD * thickness)
+    return canvas
+
+
+def _canvas(rgb: np.ndarray, box: np.ndarray | None) -> np.ndarray:
+    """A copy (H, W, 3) of a picture with the face box, if there is one."""
     canvas = cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB) if rgb.ndim == 2 else rgb.copy()
     if box is not None and np.isfinite(box).all():
         x, y, width, height = box
         corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
-        _lines(canvas, corners, ((0, 1, 2, 3, 0),), _YELLOW)
-    for points, colour in ((truth, _RED), (landmarks, _CYAN)):
-        if points is not None:
-            _face(canvas, points, scheme, colour)
+        _lines(canvas, corners, ((0, 1, 2, 3, 0),), _YELLOW, _thickness(corners, canvas))
     return canvas
 
 
@@ -51,25 +118,73 @@ def _face(canvas: np.ndarray, points: np.ndarray, scheme: Scheme, colour: tuple[
         raise InputError(f"expected ({scheme.count}, 2) landmarks of scheme {scheme.name}, got {points.shape}")
     if not np.isfinite(points).all(1).any():
         return
-    _lines(canvas, points, scheme.lines, colour)
-    radius = round(max(1.0, 0.009 * _extent(points, canvas)) * 2**_BITS)
+    thickness = _thickness(points, canvas)
+    _lines(canvas, points, scheme.lines, colour, thickness)
     for point in points[np.isfinite(points).all(1)]:
-        cv2.circle(canvas, _fixed(point), radius, colour, cv2.FILLED, cv2.LINE_AA, _BITS)
+        _dot(canvas, point, colour, thickness)
+
+
+def _depths(canvas: np.ndarray, points: np.ndarray, scheme: Scheme) -> None:
+    """Landmarks (L, 3) and their lines, from far to near, coloured by depth."""
+    flat, depths = points[:, :2], points[:, 2]
+    thickness = _thickness(flat, canvas)
+    nearest, farthest = np.nanmin(depths), np.nanmax(depths)
+
+    def colour(depth: float) -> tuple[int, int, int]:
+        nearness = (farthest - depth) / (farthest - nearest) if farthest > nearest else 1.0
+        level = np.array([[255 * (_DARKEST + (1 - _DARKEST) * nearness)]]).astype(np.uint8)
+        blue, green, red = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)[0, 0].tolist()
+        return red, green, blue
+
+    edges = [(depths[list(edge)].mean(), edge) for line in scheme.lines for edge in pairwise(line)]
+    for depth, edge in sorted((item for item in edges if np.isfinite(item[0])), reverse=True):
+        _lines(canvas, flat, (edge,), colour(depth), thickness)
+    for index in np.argsort(-depths)[: np.isfinite(depths).sum()]:  # NaN comes last
+        _dot(canvas, flat[index], colour(depths[index]), thickness)
+
+
+def _axes(canvas: np.ndarray, origin: np.ndarray, axes: np.ndarray, thickness: float) -> None:
+    """The head's axes, columns of ``axes`` (3, 3), from a point (3,); those that point away lie below."""
+    tips = origin + (axes * [1, 1, -1]).T  # the face looks along -z
+    flat = np.vstack([origin, tips])[:, :2]
+    for index in np.argsort(-tips[:, 2]).tolist():
+        _lines(canvas, flat, ((0, index + 1),), _AXES[index], thickness)
+        _dot(canvas, tips[index, :2], _AXES[index], thickness)  # all that is seen of an axis along the line of sight
+
+
+def _head_box(points: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, float]:
+    """Corners (8, 3), ordered as ``_CORNERS``, of a head with the landmarks (L, 3), and the size of its face."""
+    upright = points @ rotation
+    low, high = upright.min(0), upright.max(0)
+    size = (high - low)[:2].max()
+    high[2] = max(high[2], low[2] + size)  # landmarks end at the ears; a head is about as deep as its face is large
+    low, high = low - _MARGIN * size, high + _MARGIN * size
+    return np.where(_CORNERS, high, low) @ rotation.T, float(size)
+
+
+def _dot(canvas: np.ndarray, point: np.ndarray, colour: tuple[int, int, int], thickness: float) -> None:
+    """A point (2,) that shows on lines of some thickness."""
+    radius = round(max(1.0, 2.25 * thickness) * 2**_BITS)
+    cv2.circle(canvas, _fixed(point), radius, colour, cv2.FILLED, cv2.LINE_AA, _BITS)
 
 
 def _lines(
-    canvas: np.ndarray, points: np.ndarray, lines: tuple[tuple[int, ...], ...], colour: tuple[int, int, int]
+    canvas: np.ndarray,
+    points: np.ndarray,
+    lines: tuple[tuple[int, ...], ...],
+    colour: tuple[int, int, int],
+    thickness: float,
 ) -> None:
-    thickness = max(1, round(0.004 * _extent(points, canvas)))
+    width = max(1, round(thickness))
     for line in lines:
         for start, end in pairwise(line):
             if np.isfinite(points[[start, end]]).all():
-                cv2.line(canvas, _fixed(points[start]), _fixed(points[end]), colour, thickness, cv2.LINE_AA, _BITS)
+                cv2.line(canvas, _fixed(points[start]), _fixed(points[end]), colour, width, cv2.LINE_AA, _BITS)
 
 
-def _extent(points: np.ndarray, canvas: np.ndarray) -> float:
-    """Size of the face in pixels; not more than the picture's, lest one stray point make everything thick."""
-    return float(min(bounding_square(points)[2], max(canvas.shape)))
+def _thickness(points: np.ndarray, canvas: np.ndarray) -> float:
+    """Of the lines of a face (L, 2), in pixels: by its size, or the picture's if one stray point makes it larger."""
+    return 0.004 * float(min(bounding_square(points)[2], max(canvas.shape)))
 
 
 def _fixed(point: np.ndarray) -> tuple[int, int]:
