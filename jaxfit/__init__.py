@@ -1,4 +1,4 @@
-"""jaxfit: face landmarks by cascaded regression, vectorised in JAX.
+"""jaxfit: face landmarks, 3D shape and head pose by cascaded regression, vectorised in JAX.
 
 >>> model = jaxfit.load("sdm68")
 >>> fits = jaxfit.fit(model, images, boxes)
@@ -7,28 +7,36 @@
 
 __version__ = "0.1.0.dev0"
 
-from jaxfit.cascade.fit import fit_crops, fit_face
+from jaxfit.calibrating import calibrate_boxes
+from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
 from jaxfit.fitting import Fits, crop_faces, fit, warm_up
+from jaxfit.lifting import Lifted, lift_labels
 from jaxfit.models.files import bundled, load, save
+from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
 from jaxfit.training import Options, Trained, train
 
 __all__ = [
     "DatasetError",
     "Fits",
+    "HeadModel",
+    "Heads",
     "ImageError",
     "InputError",
     "JaxfitError",
+    "Lifted",
     "Model",
     "ModelError",
     "Options",
     "Trained",
     "bundled",
+    "bundled_heads",
+    "calibrate_boxes",
     "convert_dataset",
     "crop_faces",
     "detect_faces",
@@ -36,10 +44,14 @@ __all__ = [
     "fit",
     "fit_crops",
     "fit_face",
+    "fit_heads",
+    "lift_labels",
     "load",
+    "load_head",
     "read_dataset",
     "read_image",
     "save",
+    "save_head",
     "train",
     "warm_up",
 ]

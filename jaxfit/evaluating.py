@@ -12,7 +12,9 @@ from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.images import read_image, to_grey
 from jaxfit.data.records import FaceRecord
+from jaxfit.evaluation.depth import with_depth
 from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.fitting import BATCHES, fit, warm_up
 from jaxfit.models.model import SQUARE, Model
@@ -32,6 +34,9 @@ class Evaluation:
         landmarks: (N, L, 2) the fits, in the pixels of each picture; NaN where there is none.
         errors: (N,) NMED (Eq. 16); ``inf`` where there is no fit, NaN where the truth does not allow to measure.
         normaliser: what the errors are relative to: ``"outer"``, ``"pupil"`` or ``"box"``.
+        pose: (N, 3) roll, pitch and yaw of the fits, as in ``jaxfit.Fits``; None, like the next, for 2D models.
+        errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
+            the errors are not measured on the model's own landmarks.
         problems: for each face without a fit, its number and why.
         seconds_per_face: cropping and fitting, compiled, without reading files; NaN if nothing was fitted.
     """
@@ -43,13 +48,27 @@ class Evaluation:
     normaliser: str
     problems: dict[int, str]
     seconds_per_face: float
+    pose: np.ndarray | None = None
+    errors_3d: np.ndarray | None = None
+
+    @property
+    def true_pose(self) -> np.ndarray:
+        """(N, 3) labelled roll, pitch and yaw in degrees, NaN where unknown; each face's in its own order."""
+        return np.array([[np.nan] * 3 if face.pose is None else face.pose for face in self.faces]).reshape(-1, 3)
+
+    @property
+    def ordered_pose(self) -> np.ndarray:
+        """(N, 3) the fits' poses in the orders of the labelled ones, to be compared with them; NaN for 2D models."""
+        poses = np.full((len(self.faces), 3), np.nan) if self.pose is None else self.pose
+        return in_order(poses, [face.pose_order for face in self.faces])
 
 
 def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
     """Boxes (N, 4) to start from: the true landmarks' bounding square, moved by N(0, 6 %) of its side in x and y and
     scaled by exp(N(0, 8 %)).
 
-    A face gets the same box whatever other faces come with it. A face without any landmark gets NaN.
+    A face gets the same box whatever other faces come with it. A face without any landmark gets its own box, as the
+    dataset has it, or NaN.
 
     Raises:
         InputError: a negative seed.
@@ -59,7 +78,8 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
     boxes = []
     for face in faces:
         rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
-        boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else _NO_BOX)
+        own = _NO_BOX if face.box is None else face.box
+        boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else own)
     return np.array(boxes).reshape(-1, 4)
 
 
@@ -99,6 +119,7 @@ def evaluate(
     normaliser: str = "outer",
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
+    refine: bool = False,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors.
@@ -112,6 +133,7 @@ def evaluate(
         normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
         initialisations: starts for each face, as in ``jaxfit.fit``.
         rotations: lowest and highest rotation of the starts, in degrees.
+        refine: as in ``jaxfit.fit``.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
@@ -126,12 +148,16 @@ def evaluate(
     require_scheme(scheme, faces)
     model.placement(kind)
     check_rotations(initialisations, rotations)
-    truth = np.array([face.landmarks for face in faces]).reshape(-1, scheme.count, 2)
+    unknown = np.full((scheme.count, 2), np.nan)
+    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
+    truth = truth.reshape(-1, scheme.count, 2)
+    solid = np.full((len(faces), scheme.count, 3), np.nan)
     landmarks = np.full_like(truth, np.nan)
+    pose = np.full((len(faces), 3), np.nan)
     nmed(landmarks[:0], truth[:0], scheme, normaliser)  # a wrong normaliser stops before the work
     if faces:
         progress("compiling (cached for later runs)", 0, len(faces))
-        warm_up(model, [size for size in BATCHES if size <= len(faces)], initialisations)
+        warm_up(model, [size for size in BATCHES if size <= len(faces)], initialisations, refine)
     problems: dict[int, str] = {}
     seconds, fitted = 0.0, 0
     for first in range(0, len(faces), BATCHES[0]):
@@ -154,10 +180,13 @@ def evaluate(
             kind=kind,
             initialisations=initialisations,
             rotations=rotations,
+            refine=refine,
         )
         seconds += time.perf_counter() - begin
         fitted += len(rows)
         landmarks[rows] = convert(fits.landmarks, model.scheme, scheme)
+        if fits.landmarks_3d is not None and fits.pose is not None:
+            solid[rows], pose[rows] = convert(fits.landmarks_3d, model.scheme, scheme), fits.pose
         problems |= {rows[i]: f"{faces[rows[i]].image}: {why}" for i, why in fits.problems.items()}
     progress("fitting", len(faces), len(faces))
     return Evaluation(
@@ -168,17 +197,30 @@ def evaluate(
         normaliser=normaliser,
         problems=problems,
         seconds_per_face=seconds / fitted if fitted else float("nan"),
+        pose=pose if model.solid else None,
+        errors_3d=_errors_3d(model, solid, truth, scheme, normaliser),
     )
 
 
+def _errors_3d(
+    model: Model, solid: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str
+) -> np.ndarray | None:
+    """NMED in 3D (N,); NaN where the labels are none of the 3D shape, or too few to give it depth."""
+    if model.solid is None:
+        return None
+    if scheme != model.scheme:
+        return np.full(len(truth), np.nan)
+    return nmed(solid, with_depth(truth, model.solid.model), scheme, normaliser)
+
+
 def require_scheme(scheme: Scheme, faces: Sequence[FaceRecord]) -> None:
-    """Check that faces are labelled with as many landmarks as a scheme has.
+    """Check that faces are labelled with as many landmarks as a scheme has, or with none at all.
 
     Raises:
         InputError: they are not.
     """
     for face in faces:
-        if len(face.landmarks) != scheme.count:
+        if len(face.landmarks) not in (0, scheme.count):
             raise InputError(
                 f"the model finds {scheme.count} landmarks ({scheme.name}), but {face.image} is labelled "
                 f"with {len(face.landmarks)}; convert both to a scheme they share (--scheme), if there is one, or "

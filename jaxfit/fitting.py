@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike
 
-from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, start_rotations
+from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotations
 from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.images import to_grey
@@ -26,10 +26,19 @@ class Fits:
     Attributes:
         landmarks: (N, L, 2) float64, x right, y down, in the pixels of each picture; NaN for faces not fitted.
         problems: for each face that was not fitted, its number and why.
+        landmarks_3d: (N, L, 3) the 3D shape in the pixels of each picture: x, y, and the depth away from the viewer,
+            0 at the mean face's centroid. None, like all below, for models without 3D.
+        pose: (N, 3) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
+        scale: (N,) s of Eq. 15, pixels of the picture per pixel of the canonical face.
+        b: (N, M) coefficients of the 3D shape model, ``model.solid.model``.
     """
 
     landmarks: np.ndarray
     problems: dict[int, str]
+    landmarks_3d: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    b: np.ndarray | None = None
 
     @property
     def ok(self) -> np.ndarray:
@@ -104,9 +113,10 @@ def fit(
     kind: str | Sequence[str] = SQUARE,
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
+    refine: bool = False,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
-    """Find the landmarks of N faces.
+    """Find the landmarks of N faces, and their 3D shapes and poses if the model knows of them.
 
     A picture or box that cannot be used does not stop the others: its landmarks are NaN and ``problems`` says why.
 
@@ -122,27 +132,60 @@ def fit(
             turned in the picture and the model was trained for it.
         rotations: lowest and highest rotation of the starts, in degrees, clockwise as seen; a single start is in the
             middle.
+        refine: for models of 3D alignment, adjust shape and camera together after it; slow.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), ``kind`` is unknown, there are no initialisations or no range.
+        InputError: ``boxes`` is not (N, 4), ``kind`` is unknown, there are no initialisations or no range, or nothing
+            to refine.
     """
     turns = start_rotations(initialisations, rotations)
+    _require_refinable(model, refine)
     crops, problems = crop_faces(model, images, boxes, kind)
-    landmarks = np.full((len(images), model.scheme.count, 2), np.nan)
+    found = _empty(model, len(images))
     usable = np.array([number for number in range(len(images)) if number not in problems], int)
     done = 0
     for size in _batch_sizes(len(usable)):
         progress("fitting", done, len(usable))
         rows = usable[done : done + size]
-        fitted = fit_crops(model.cascade, jnp.asarray(crops.pixels[rows]), turns)
-        landmarks[rows] = crops.to_images(np.asarray(fitted, np.float64), rows)
+        fitted = _fit_batch(model, jnp.asarray(crops.pixels[rows]), turns, refine)
+        for name, values in fitted.items():
+            found[name][rows] = np.asarray(values)
         done += size
     progress("fitting", done, len(usable))
-    for number in usable[~np.isfinite(landmarks[usable]).all((1, 2))]:
-        problems[int(number)] = "the fit diverged"
-        landmarks[number] = np.nan
-    return Fits(landmarks, problems)
+    for name in ("landmarks", "landmarks_3d"):
+        if name in found:
+            found[name][usable, :, :2] = crops.to_images(found[name][usable, :, :2], usable)
+    if model.solid is not None:
+        found["landmarks_3d"][usable, :, 2] *= crops.scale[usable, None]
+        found["scale"][usable] *= crops.scale[usable]
+    for number in usable:
+        if not all(np.isfinite(values[number]).all() for values in found.values()):
+            problems[int(number)] = "the fit diverged"
+            for name in found:
+                found[name][number] = np.nan
+    return Fits(problems=problems, **found)
+
+
+def _require_refinable(model: Model, refine: bool) -> None:
+    if refine and model.head is None:
+        raise InputError("refine: only models of the method alignment3d align a 3D shape that could be refined")
+
+
+def _empty(model: Model, count: int) -> dict[str, np.ndarray]:
+    """What is found of ``count`` faces, by its name in `Fits`; NaN."""
+    shapes: dict[str, tuple[int, ...]] = {"landmarks": (model.scheme.count, 2)}
+    if model.solid is not None:
+        modes = len(model.solid.model.deviations)
+        shapes |= {"landmarks_3d": (model.scheme.count, 3), "pose": (3,), "scale": (), "b": (modes,)}
+    return {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
+
+
+def _fit_batch(model: Model, crops: jax.Array, turns: jax.Array, refine: bool) -> dict[str, jax.Array]:
+    """What is found in crops, by its name in `Fits`, in crop pixels."""
+    if model.solid is None:
+        return {"landmarks": fit_crops(model.cascade, crops, turns)}
+    return fit_heads(model.cascade, crops, turns, model.head, refine)._asdict()
 
 
 def _batch_sizes(count: int) -> list[int]:
@@ -154,13 +197,14 @@ def _batch_sizes(count: int) -> list[int]:
     return sizes
 
 
-def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int = 1) -> None:
+def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int = 1, refine: bool = False) -> None:
     """Compile the model for the batch sizes that ``fit`` uses; the first fit is then as fast as the others.
 
     Raises:
-        InputError: no initialisations, or two.
+        InputError: no initialisations, or two, or nothing to refine.
     """
+    _require_refinable(model, refine)
     side = model.cascade.frame.crop
     turns = start_rotations(initialisations, ANY_ROTATION)
     for size in batches:
-        jax.block_until_ready(fit_crops(model.cascade, jnp.zeros((size, side, side), jnp.uint8), turns))
+        jax.block_until_ready(_fit_batch(model, jnp.zeros((size, side, side), jnp.uint8), turns, refine))

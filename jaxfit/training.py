@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -21,7 +22,10 @@ from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
+from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.asm import ActiveShapeModel, likely_radius
+from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
 from jaxfit.shapes.similarity import SimilarityASM, learn_similarity_asm
@@ -54,12 +58,13 @@ class Options:
         sigmas: radius of the ellipsoid that an Active Shape Model's coefficients are kept in, in standard deviations.
             The thesis's is 3; but the more modes there are, the farther out faces lie, and most are cut off by 3. None
             takes the radius that holds as many of normally distributed faces as ±3 hold of normal numbers, 99.7 %.
+        head: 3D shape model of the 3D methods: a bundled head model's name, or a file of ``scripts/build_head.py``.
         mirror: train on mirrored pictures too.
         haar: run OpenCV's Haar detectors on the training pictures to learn how faces lie in their boxes, which takes
             some minutes; without, the model knows only boxes around the landmarks.
         seed: of boxes and starts.
-        descriptor: what is seen at a landmark; None is SIFT in windows that turn with the face for the parametric
-            method and for several initialisations, and in upright ones else.
+        descriptor: what is seen at a landmark; None is SIFT in windows that turn with the face, but upright ones for
+            SDM from a single start.
         frame: size of the crops.
 
     Raises:
@@ -75,6 +80,7 @@ class Options:
     rotations: tuple[float, float] = ANY_ROTATION
     shape_variance: float = 0.99
     sigmas: float | None = None
+    head: str = DEFAULT_HEAD
     mirror: bool = True
     haar: bool = True
     seed: int = 0
@@ -118,13 +124,22 @@ class Trained:
     problems: tuple[str, ...]
 
 
-def _point_space(faces: np.ndarray, options: Options) -> PointSpace:
+def _point_space(faces: np.ndarray, scheme: Scheme, options: Options) -> PointSpace:
     return PointSpace(jnp.asarray(mean_face(faces, options.frame.face), jnp.float32))
 
 
-def _similarity_asm(faces: np.ndarray, options: Options) -> SimilarityASM:
+def _similarity_asm(faces: np.ndarray, scheme: Scheme, options: Options) -> SimilarityASM:
     points = jnp.asarray(faces, jnp.float32)
     return learn_similarity_asm(points, options.frame.face, options.shape_variance, options.sigmas)
+
+
+def _camera_asm(faces: np.ndarray, scheme: Scheme, options: Options) -> CameraASM:
+    """Pictures tell nothing of depth: the shape model is that of a head model."""
+    in_cm = load_head(options.head).of(scheme, options.shape_variance)
+    pixels = options.frame.face / jnp.ptp(in_cm.mean[:, :2], 0).max()
+    model = ActiveShapeModel(in_cm.mean * pixels, in_cm.modes, in_cm.deviations * pixels)
+    sigmas = likely_radius(len(model.deviations)) if options.sigmas is None else options.sigmas
+    return CameraASM(model, jnp.float32(sigmas))
 
 
 @dataclass(frozen=True)
@@ -132,17 +147,26 @@ class Method:
     """What makes a method.
 
     Attributes:
-        learn_space: learns the shape space from faces (N, L, 2), given in units of their bounding squares.
+        learn_space: learns the shape space from faces (N, L, 2) of a scheme, given in units of their bounding squares.
         descriptor: what is seen at a landmark unless told otherwise.
+        in_3d: whether it finds the face in 3D.
     """
 
-    learn_space: Callable[[np.ndarray, Options], ShapeSpace]
+    learn_space: Callable[[np.ndarray, Scheme, Options], ShapeSpace]
     descriptor: Descriptor
+    in_3d: bool = False
+
+    @property
+    def aligns(self) -> bool:
+        """Whether a 3D shape model is aligned to the landmarks of a 2D one."""
+        return self.in_3d and self.learn_space is not _camera_asm
 
 
 METHODS = {
     "sdm": Method(_point_space, Sift("upright")),
     "parametric": Method(_similarity_asm, Sift("face")),
+    "alignment3d": Method(_similarity_asm, Sift("face"), in_3d=True),
+    "regression3d": Method(_camera_asm, Sift("face"), in_3d=True),
 }
 
 
@@ -160,7 +184,8 @@ def train(
         faces: the labelled faces, all of one scheme.
         scheme: what their landmarks mean.
         method: one of ``METHODS``: ``"sdm"`` is the Supervised Descent Method, ``"parametric"`` the same on the
-            parameters of an Active Shape Model.
+            parameters of an Active Shape Model, ``"alignment3d"`` aligns a 3D one to what that finds, and
+            ``"regression3d"`` is the cascade on the parameters of a 3D one and its camera.
         options: how to train; None for the defaults.
         progress: called with a stage's name, what is done and what there is to do.
 
@@ -175,6 +200,8 @@ def train(
     complete, problems = _usable(faces, scheme)
     if len(complete) < 2:
         raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
+    # A head model without these landmarks stops before the work.
+    solid = _camera_asm(np.empty(0), scheme, options) if METHODS[method].in_3d else None
     landmarks = np.stack([face.landmarks for face in complete])
     squares = np.stack([bounding_square(points) for points in landmarks])
     relative = (landmarks - squares[:, None, :2]) / squares[:, None, 2:]
@@ -202,7 +229,7 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
 
     rows = np.array(usable)
-    space = METHODS[method].learn_space(relative[rows], options)
+    space = METHODS[method].learn_space(relative[rows], scheme, options)
     cascade = train_cascade(
         space,
         options.descriptor or default_descriptor(method, options.initialisations),
@@ -217,9 +244,10 @@ def train(
         turn=_turn(options),
         progress=progress,
     )
+    head = solid if METHODS[method].aligns else None
     placements = {SQUARE: placement, **detected.placements(landmarks, mean, options.frame.face)}
     return Trained(
-        Model(cascade, scheme, placements, _summary(method, options, len(usable))),
+        Model(cascade, scheme, placements, _summary(method, options, len(usable)), head),
         len(usable),
         tuple(problems),
     )
@@ -296,7 +324,9 @@ def _scaled(spread: Spread, factor: float) -> Spread:
 
 def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
-    told_elsewhere = ("descriptor", "frame", "haar")
+    told_elsewhere = ("descriptor", "frame", "haar", "head")
     made = {key: value for key, value in asdict(options).items() if key not in told_elsewhere}
     lists = {"windows": list(options.windows), "rotations": list(options.rotations)}
-    return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists}
+    # Not the path of a file: where it lay is nobody else's business.
+    head = {"head": Path(options.head).name} if METHODS[method].in_3d else {}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists, **head}

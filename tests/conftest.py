@@ -1,4 +1,4 @@
-"""What all tests share: array shapes checked at run time, and the real data where it is at hand."""
+"""What all tests share: array shapes checked at run time, the real data where it is at hand, and models of heads."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +21,22 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip("needs the development data in ../shared/data")
     return folder
+
+
+@pytest.fixture(scope="session")
+def heads(tmp_path_factory: pytest.TempPathFactory) -> tuple:
+    """The records of 32 drawn heads, and their pictures."""
+    from drawn_heads import draw_heads
+
+    return draw_heads(tmp_path_factory.mktemp("heads"), 32)
+
+
+@pytest.fixture(scope="session")
+def head_models(heads: tuple) -> dict:
+    """A model of each 3D method, trained on the drawn heads."""
+    from drawn_heads import train_heads
+
+    return train_heads(heads)
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -1,20 +1,25 @@
-"""Starting boxes and evaluation: who gets which box, and how faces without truth or fit are counted."""
+"""Starting boxes and evaluation: who gets which box, how faces without truth or fit are counted, errors in 3D."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn_heads import HEAD, rotation_of, unlabelled
 
 import jaxfit
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluating import match_boxes, start_boxes
+from jaxfit.shapes.schemes import IBUG68
 
 
-def record(points: np.ndarray, image: Path = Path("a.png"), face: str = "a") -> FaceRecord:
+def record(
+    points: np.ndarray, image: Path = Path("a.png"), face: str = "a", box: np.ndarray | None = None
+) -> FaceRecord:
     present = np.isfinite(points).all(1)
-    return FaceRecord(image, points, present, present, None, None, face, face)
+    return FaceRecord(image, points, present, present, box, None, face, face)
 
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
@@ -36,6 +41,15 @@ def test_a_face_gets_the_same_start_in_any_company() -> None:
     assert not np.array_equal(start_boxes(faces, seed=1), start_boxes(faces))
     with pytest.raises(jaxfit.InputError, match="seed of 0 or more"):
         start_boxes(faces, seed=-1)
+
+
+def test_faces_without_landmarks_start_from_their_own_boxes() -> None:
+    box, none = np.array([3.0, 4.0, 20.0, 30.0]), np.zeros((0, 2))
+    faces = [record(none, box=box), record(none), record(SQUARE * np.nan, box=box), record(SQUARE, box=box)]
+    boxes = start_boxes(faces)
+    np.testing.assert_array_equal(boxes[:3], [box, np.full(4, np.nan), box])
+    np.testing.assert_array_equal(boxes[3], start_boxes([record(SQUARE)])[0])
+    np.testing.assert_array_equal(match_boxes(faces[:1], {"a.png": [box + 1]}), [box + 1])
 
 
 def test_each_box_goes_to_one_face() -> None:
@@ -65,6 +79,8 @@ def test_faces_without_truth_or_fit_are_counted(tmp_path: Path) -> None:
         record(points, tmp_path / "missing.png", "missing"),
     ]
     result = jaxfit.evaluate(model, faces, start_boxes(faces))
+    assert result.pose is result.errors_3d is None
+    assert np.isnan(result.ordered_pose).all()
     assert np.isfinite(result.errors[:2]).all()
     assert np.isnan(result.errors[2])
     assert result.errors[3] == np.inf
@@ -75,3 +91,72 @@ def test_faces_without_truth_or_fit_are_counted(tmp_path: Path) -> None:
 def test_faces_of_other_landmarks_are_refused() -> None:
     with pytest.raises(jaxfit.InputError, match="finds 68 landmarks"):
         jaxfit.evaluate(jaxfit.load("sdm68"), [record(SQUARE)], np.zeros((1, 4)))
+
+
+@pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+def test_errors_of_heads_are_those_of_the_heads_that_were_drawn(head_models, heads, method) -> None:
+    faces = (*heads[:4], replace(heads[4], image=Path("missing.png")))
+    result = jaxfit.evaluate(head_models[method], faces, start_boxes(faces))
+    np.testing.assert_array_equal(result.true_pose, [face.pose for face in faces])
+    np.testing.assert_array_equal(result.ordered_pose[:4], result.pose[:4])
+    assert np.isnan(result.pose[4]).all()
+    assert result.errors[4] == result.errors_3d[4] == np.inf
+    # What the depths add: the fits' against those drawn.
+    fits = jaxfit.fit(head_models[method], [jaxfit.read_image(face.image) for face in faces[:4]], result.boxes[:4])
+    truth = []
+    for face in faces[:4]:
+        drawn = rotation_of(face.pose).apply(HEAD)
+        truth.append(drawn * np.ptp(face.landmarks[:, 1]) / np.ptp(drawn[:, 1]))
+        truth[-1][:, :2] = face.landmarks
+    eyes = np.linalg.norm([face[6] - face[11] for face in truth], axis=1)
+    expected = np.linalg.norm(fits.landmarks_3d - truth, axis=2).mean(1) / eyes
+    np.testing.assert_allclose(result.errors_3d[:4], expected, atol=0.02)
+    assert (result.errors_3d[:4] > result.errors[:4]).sum() >= 3
+
+
+def test_poses_are_measured_without_landmarks(head_models, heads) -> None:
+    faces = [unlabelled(face) for face in heads[:5]]
+    faces[1] = replace(faces[1], pose=np.array([np.nan, *faces[1].pose[1:]]))
+    faces[2] = replace(faces[2], pose=None, box=None)
+    other = rotation_of(faces[3].pose).as_euler("XYZ", degrees=True)  # about axes that turn with the head
+    faces[3] = replace(faces[3], pose=np.array([other[2], -other[0], other[1]]), pose_order="roll-yaw-pitch")
+    boxes = start_boxes(faces)
+    np.testing.assert_array_equal(boxes[[0, 1, 3, 4]], [faces[n].box for n in (0, 1, 3, 4)])
+    result = jaxfit.evaluate(head_models["regression3d"], faces, boxes)
+    assert np.isnan(result.errors).all()
+    assert np.isnan(result.errors_3d).all()
+    assert set(result.problems) == {2}
+    assert result.landmarks.shape == (5, 21, 2)
+    np.testing.assert_array_equal(
+        np.isnan(result.true_pose)[:4], [[False] * 3, [True, False, False], [True] * 3, [False] * 3]
+    )
+    np.testing.assert_array_equal(result.ordered_pose[:3], result.pose[:3])
+    np.testing.assert_allclose(result.ordered_pose[[0, 3]], result.true_pose[[0, 3]], atol=12)
+    same = rotation_of(result.pose[3]).as_euler("XYZ", degrees=True)
+    np.testing.assert_allclose(result.ordered_pose[3], [same[2], -same[0], same[1]], atol=1e-3)
+
+
+def test_no_faces_have_no_errors(head_models) -> None:
+    result = jaxfit.evaluate(head_models["regression3d"], [], np.zeros((0, 4)))
+    shapes = [
+        part.shape for part in (result.errors, result.errors_3d, result.pose, result.true_pose, result.ordered_pose)
+    ]
+    assert shapes == [(0,), (0,), (0, 3), (0, 3), (0, 3)]
+
+
+def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, heads, monkeypatch) -> None:
+    # 68 points that no cascade finds in time, converted to the labels' 21.
+    model, rng = replace(head_models["regression3d"], scheme=IBUG68), np.random.default_rng(0)
+    fits = jaxfit.Fits(rng.normal(size=(2, 68, 2)), {}, rng.normal(size=(2, 68, 3)), np.ones((2, 3)), np.ones(2))
+    monkeypatch.setattr("jaxfit.evaluating.fit", lambda *_, **__: fits)
+    monkeypatch.setattr("jaxfit.evaluating.warm_up", lambda *_: None)
+    result = jaxfit.evaluate(model, heads[:2], start_boxes(heads[:2]), scheme=head_models["regression3d"].scheme)
+    assert np.isfinite(result.errors).all()
+    assert np.isnan(result.errors_3d).all()
+    np.testing.assert_array_equal(result.pose, fits.pose)
+
+
+def test_refining_what_is_not_aligned_stops_before_the_work(head_models, heads, monkeypatch) -> None:
+    monkeypatch.setattr("jaxfit.evaluating.read_image", None)
+    with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
+        jaxfit.evaluate(head_models["regression3d"], heads[:1], start_boxes(heads[:1]), refine=True)

@@ -1,13 +1,17 @@
-"""``jaxfit.fit`` with the bundled model: laws on the portrait that matplotlib ships, and accuracy on real pictures."""
+"""``jaxfit.fit``: laws of a bundled model on the portrait that matplotlib ships, real pictures, drawn heads in 3D."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from drawn_heads import HEAD, rotation_of
 
 import jaxfit
+from jaxfit.data.boxes import bounding_square
+from jaxfit.data.records import FaceRecord
 from jaxfit.evaluating import start_boxes
 from jaxfit.fitting import BATCHES
 
@@ -120,7 +124,9 @@ def test_wrong_arguments_are_refused(model, portrait, box) -> None:
 def test_saved_and_loaded_models_fit_alike(model, portrait, box, landmarks, tmp_path: Path) -> None:
     jaxfit.save(model, tmp_path / "copy.safetensors")
     copy = jaxfit.load(tmp_path / "copy.safetensors")
-    np.testing.assert_array_equal(jaxfit.fit(copy, [portrait], [box], kind=KIND).landmarks[0], landmarks)
+    fits = jaxfit.fit(copy, [portrait], [box], kind=KIND)
+    np.testing.assert_array_equal(fits.landmarks[0], landmarks)
+    assert fits.landmarks_3d is fits.pose is fits.scale is fits.b is None
 
 
 def test_several_starts_keep_the_centroid(model, portrait, box, landmarks) -> None:
@@ -151,3 +157,120 @@ def test_real_faces_are_found_and_fitted(model, shared_data: Path) -> None:
     )
     errors = [apart(fits.landmarks[k], faces[i].landmarks, faces[i].landmarks) for k, i in enumerate(single)]
     assert np.median(errors) < 0.07
+
+
+PARTS = ("landmarks", "landmarks_3d", "pose", "scale", "b")
+both_methods = pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+
+
+def fit_heads(model: jaxfit.Model, faces: tuple[FaceRecord, ...], **options) -> jaxfit.Fits:
+    images = [jaxfit.read_image(face.image) for face in faces]
+    return jaxfit.fit(model, images, [bounding_square(face.landmarks) for face in faces], **options)
+
+
+@both_methods
+def test_a_head_is_the_shape_model_in_its_pose(head_models, heads, method) -> None:
+    model = head_models[method].solid.model
+    fits = fit_heads(head_models[method], heads[:4])
+    for number in range(4):
+        shape = np.asarray(model.mean + np.tensordot(fits.b[number], model.modes, 1))
+        seen = fits.scale[number] * rotation_of(fits.pose[number]).apply(shape)
+        place = fits.landmarks_3d[number] - seen
+        np.testing.assert_allclose(place, np.tile([*place[0, :2], 0], (21, 1)), atol=0.01)
+
+
+@both_methods
+def test_a_head_lies_on_its_landmarks(head_models, heads, method) -> None:
+    fits = fit_heads(head_models[method], heads[:4])
+    apart = np.linalg.norm(fits.landmarks_3d[..., :2] - fits.landmarks, axis=2)
+    if method == "regression3d":
+        assert apart.max() < 1e-3
+    else:
+        assert 0.01 < apart.mean() < 0.03 * np.ptp(fits.landmarks, 1).max()
+
+
+@both_methods
+def test_drawn_heads_are_found_as_they_were_drawn(head_models, heads, method) -> None:
+    turned = sorted(heads, key=lambda face: face.pose[2])
+    faces = tuple(turned[:3] + turned[-3:])
+    fits = fit_heads(head_models[method], faces)
+    truth = np.array([face.pose for face in faces])
+    assert np.median(np.abs(fits.pose - truth)[:, 2]) < 6
+    assert (np.sign(fits.pose[:, 2]) == np.sign(truth[:, 2])).all()
+    # As large as the picture has them: the mean heads of drawing and fitting are the same but for their unit.
+    sizes = np.array(
+        [np.ptp(face.landmarks[:, 1]) / np.ptp(rotation_of(face.pose).apply(HEAD)[:, 1]) for face in faces]
+    )
+    unit = np.ptp(HEAD[:, 1]) / np.ptp(head_models[method].solid.model.mean[:, 1])
+    np.testing.assert_allclose(fits.scale, sizes * unit, rtol=0.1)
+    depths = np.array(
+        [size * rotation_of(face.pose).apply(HEAD)[:, 2] for size, face in zip(sizes, faces, strict=True)]
+    )
+    assert np.median(np.abs(fits.landmarks_3d[..., 2] - depths)) < 0.05 * np.ptp(depths)
+
+
+@both_methods
+def test_a_picture_twice_as_large_makes_the_head_twice_as_large_and_deep(head_models, heads, method) -> None:
+    model, face = head_models[method], heads[0]
+    once = fit_heads(model, heads[:1])
+    large = cv2.resize(jaxfit.read_image(face.image), None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    # Pixel centres are at integers: x becomes (x + 1/2) · 2 - 1/2.
+    twice = jaxfit.fit(model, [large], [bounding_square(2 * face.landmarks + 0.5)])
+    np.testing.assert_allclose(twice.scale, 2 * once.scale, rtol=0.01)
+    np.testing.assert_allclose(twice.pose, once.pose, atol=1)
+    np.testing.assert_allclose(twice.b, once.b, atol=0.2)
+    np.testing.assert_allclose((twice.landmarks - 0.5) / 2, once.landmarks, atol=0.5)
+    there = (twice.landmarks_3d - [0.5, 0.5, 0]) / 2
+    np.testing.assert_allclose(there, once.landmarks_3d, atol=0.5)
+    assert np.ptp(once.landmarks_3d[0, :, 2]) > 20
+
+
+@both_methods
+def test_3d_models_come_back_from_their_file_as_they_were(head_models, heads, method, tmp_path: Path) -> None:
+    model = head_models[method]
+    jaxfit.save(model, tmp_path / "heads.safetensors")
+    copy = jaxfit.load(tmp_path / "heads.safetensors")
+    assert copy.training == model.training
+    assert (copy.training["method"], copy.training["head"]) == (method, "ict-facekit")
+    assert (copy.head is None) == (method == "regression3d")
+    one, other = fit_heads(model, heads[:3]), fit_heads(copy, heads[:3])
+    for part in PARTS:
+        np.testing.assert_array_equal(getattr(one, part), getattr(other, part), err_msg=part)
+
+
+@both_methods
+def test_bad_faces_have_no_heads(head_models, heads, method) -> None:
+    model, image, box = head_models[method], jaxfit.read_image(heads[0].image), bounding_square(heads[0].landmarks)
+    fits = jaxfit.fit(model, [image, image / 255.0, image, image], [box, box, [9000, 0, 9, 9], box])
+    for part in PARTS:
+        values = getattr(fits, part)
+        assert np.isfinite(values[[0, 3]]).all()
+        assert np.isnan(values[[1, 2]]).all()
+    assert set(fits.problems) == {1, 2}
+    away = replace(model, cascade=replace(model.cascade, biases=model.cascade.biases + np.inf))
+    lost = jaxfit.fit(away, [image], [box])
+    assert lost.problems == {0: "the fit diverged"}
+    assert all(np.isnan(getattr(lost, part)).all() for part in PARTS)
+
+
+@both_methods
+def test_no_faces_have_no_heads(head_models, method) -> None:
+    fits = jaxfit.fit(head_models[method], [], [])
+    modes = len(head_models[method].solid.model.deviations)
+    assert [getattr(fits, part).shape for part in PARTS] == [(0, 21, 2), (0, 21, 3), (0, 3), (0,), (0, modes)]
+
+
+def test_a_refined_head_comes_nearer_to_the_landmarks(head_models, heads) -> None:
+    aligned, refined = (fit_heads(head_models["alignment3d"], heads[:3], refine=refine) for refine in (False, True))
+    np.testing.assert_allclose(refined.landmarks, aligned.landmarks, atol=1e-3)
+    before, after = (((fits.landmarks_3d[..., :2] - fits.landmarks) ** 2).sum() for fits in (aligned, refined))
+    assert after < before
+    np.testing.assert_allclose(refined.pose, aligned.pose, atol=10)
+
+
+def test_only_alignments_can_be_refined(model, head_models) -> None:
+    for other in (model, head_models["regression3d"]):
+        with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
+            jaxfit.fit(other, [], [], refine=True)
+        with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
+            jaxfit.warm_up(other, refine=True)

@@ -2,15 +2,20 @@
 
 import re
 import shlex
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import jaxfit
 from jaxfit.cli.main import main
 from jaxfit.data.images import write_image
 from jaxfit.data.pts import write_pts
+from jaxfit.shapes.conversions import convert
+from jaxfit.shapes.schemes import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -50,7 +55,32 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             name = folder / "faces" / part / f"face{number:03}"
             write_image(name.with_suffix(".png"), portrait[top:, left:])
             write_pts(name.with_suffix(".pts"), points - [left, top] + rng.normal(0, 1, points.shape))
+    _write_aflw(folder / "aflw", portrait, convert(points, IBUG68, AFLW21))
+    _write_aflw2000(folder / "AFLW2000", portrait, points)
     return folder
+
+
+def _write_aflw(folder: Path, picture: np.ndarray, points: np.ndarray) -> None:
+    """One face, one of whose points is hidden."""
+    (folder / "flickr").mkdir(parents=True)
+    write_image(folder / "flickr" / "face.jpg", picture)
+    with closing(sqlite3.connect(folder / "aflw.sqlite")) as database, database:
+        database.execute("CREATE TABLE Faces (face_id, file_id)")
+        database.execute("CREATE TABLE FaceImages (file_id, filepath)")
+        database.execute("CREATE TABLE FaceRect (face_id, x, y, w, h)")
+        database.execute("CREATE TABLE FacePose (face_id, roll, pitch, yaw)")
+        database.execute("CREATE TABLE FeatureCoords (face_id, feature_id, x, y)")
+        database.execute("INSERT INTO Faces VALUES (1, 'face')")
+        database.execute("INSERT INTO FaceImages VALUES ('face', 'face.jpg')")
+        rows = [(number, *map(float, point)) for number, point in enumerate(points, 1)]
+        database.executemany("INSERT INTO FeatureCoords VALUES (1, ?, ?, ?)", rows[:-1])
+
+
+def _write_aflw2000(folder: Path, picture: np.ndarray, points: np.ndarray) -> None:
+    folder.mkdir()
+    write_image(folder / "image00002.jpg", picture)
+    pose = np.radians([[-3.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.0]])
+    savemat(folder / "image00002.mat", {"Pose_Para": pose, "pt3d_68": np.vstack([points.T + 1, np.zeros(68)])})
 
 
 def run(command: str) -> None:
@@ -74,6 +104,8 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "fitted/landmarks.csv",
         "results/report.json",
         "results/faces.csv",
+        "heads/heads.csv",
+        "results-3d/report.json",
     ):
         assert (folder / written).stat().st_size > 0
 

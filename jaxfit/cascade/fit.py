@@ -1,6 +1,8 @@
 """Running a cascade: one face from one start; then a batch of crops, each from one or several starts."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
@@ -12,8 +14,10 @@ from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
+from jaxfit.shapes.asm import Coefficients
+from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.space import ShapeSpace, Start, rotate
-from jaxfit.types import Crop, Features, Landmarks, Params, Point, Scalar
+from jaxfit.types import Crop, Features, Landmarks, Landmarks3D, Params, Point, Scalar
 
 # Fits whose windows are sampled together: few enough to stay in the processor's cache.
 SAMPLED_AT_ONCE = 4
@@ -174,12 +178,15 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
 
 def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Float[Array, "starts landmarks 2"]:
     """Fit one face from several starts (a leading axis): the landmarks of every fit."""
+    return vmap(partial(landmarks_of, cascade.space))(_fit_states(cascade, crop, starts))
+
+
+def _fit_states(cascade: Cascade, crop: Crop, starts: Start) -> State:
     space = cascade.space
     prepared = cascade.descriptor.prepare(crop)
 
-    def fitted(start: Start) -> Landmarks:
-        state = state_of(cascade.descriptor, space, space.place(start))
-        return landmarks_of(space, fit_state(cascade, prepared, state))
+    def fitted(start: Start) -> State:
+        return fit_state(cascade, prepared, state_of(cascade.descriptor, space, space.place(start)))
 
     return lax.map(fitted, starts, batch_size=SAMPLED_AT_ONCE)
 
@@ -201,6 +208,72 @@ def fit_crops(
     Raises:
         InputError: crops of another size, or no rotations.
     """
+    return _fit_each(cascade, crops, rotations, lambda state: landmarks_of(cascade.space, state))
+
+
+class Heads(NamedTuple):
+    """Faces in 3D, in pixels; a leading axis of faces.
+
+    Attributes:
+        landmarks: (L, 2) where the landmarks were found.
+        landmarks_3d: (L, 3) the 3D shape model there: x, y and the depth away from the viewer, 0 at the mean face's
+            centroid. For 3D regression, x and y are ``landmarks``; for 3D alignment they are as near as it comes.
+        pose: (3,) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
+        scale: s of Eq. 15, pixels per pixel of the canonical face.
+        b: (M,) coefficients of the 3D shape model.
+    """
+
+    landmarks: Landmarks
+    landmarks_3d: Landmarks3D
+    pose: Float[Array, "3"]
+    scale: Scalar
+    b: Coefficients
+
+
+@partial(jax.jit, static_argnames="refine")
+def fit_heads(
+    cascade: Cascade,
+    crops: UInt8[Array, "faces height width"],
+    rotations: Float[Array, "starts"] | None = None,
+    head: CameraASM | None = None,
+    refine: bool = False,
+) -> Heads:
+    """Landmarks, 3D shape and pose of a batch of crops, in crop pixels, in one compiled function.
+
+    Args:
+        cascade: a trained cascade, on :class:`CameraASM` if there is no ``head``.
+        crops: as in :func:`fit_crops`.
+        rotations: as in :func:`fit_crops`.
+        head: align this to the landmarks that a 2D cascade finds (thesis 3.3); None takes the cascade's own
+            parameters (3.4).
+        refine: adjust coefficients and camera of the alignment together (``shapes.alignment.refine_head``).
+
+    Raises:
+        InputError: crops of another size, no rotations, a 2D cascade without a head, or nothing to refine.
+    """
+    space = cascade.space
+    if refine and head is None:
+        raise InputError("expected a 3D shape model that is aligned to landmarks: only alignments can be refined")
+    if head is None and not isinstance(space, CameraASM):
+        raise InputError("expected a cascade of 3D regression, or a 3D shape model to align to a 2D one's landmarks")
+    solid = cast(CameraASM, space if head is None else head)
+
+    def heads(state: State) -> Heads:
+        landmarks = landmarks_of(space, state)
+        regressed = space.turned(state.params, state.angle)
+        params = regressed if head is None else head.encode(landmarks, refine)
+        return Heads(landmarks, solid.landmarks_3d(params), solid.pose(params), solid.scale(params), solid.b(params))
+
+    return _fit_each(cascade, crops, rotations, heads)
+
+
+def _fit_each(
+    cascade: Cascade,
+    crops: UInt8[Array, "faces height width"],
+    rotations: Float[Array, "starts"] | None,
+    result: Callable[[State], Any],
+) -> Any:
+    """What ``result`` makes of the best fit of each crop."""
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
@@ -209,8 +282,9 @@ def fit_crops(
         raise InputError("expected at least one rotation to start from; got none")
     starts = starts_of(cascade.space, cascade.frame, rotations)
 
-    def fitted(crop: Crop) -> Landmarks:
-        candidates = fit_starts(cascade, crop, starts)
-        return candidates[centroid(candidates)]
+    def fitted(crop: Crop) -> Any:
+        states = _fit_states(cascade, crop, starts)
+        best = centroid(vmap(partial(landmarks_of, cascade.space))(states))
+        return result(jax.tree.map(lambda values: values[best], states))
 
     return lax.map(fitted, crops, batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))

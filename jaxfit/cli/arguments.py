@@ -82,6 +82,15 @@ def add_initialisations(command: argparse.ArgumentParser, about: str) -> None:
     )
 
 
+def add_refine(command: argparse.ArgumentParser) -> None:
+    """``--refine``."""
+    command.add_argument(
+        "--refine",
+        action="store_true",
+        help="for models of 3D alignment: adjust 3D shape and camera together after aligning them; slow",
+    )
+
+
 def untrained_starts(name: str, model: Model, initialisations: int) -> list[str]:
     """What to say where several starts are asked for of a model that was trained for one."""
     if initialisations == 1 or model.training.get("initialisations", 1) > 1:
@@ -113,14 +122,19 @@ def add_training(command: argparse.ArgumentParser) -> None:
         default=_DEFAULT.sigmas,
         help="radius of the ellipsoid that shape coefficients stay in; unless given it holds 99.7 %% of normal faces",
     )
+    command.add_argument(
+        "--head",
+        default=_DEFAULT.head,
+        help="3D shape model of the 3D methods: a bundled one's name, or a file that scripts/build_head.py made",
+    )
     add_initialisations(command, "how many starts fitting shall use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument(
         "--orientation",
         choices=ORIENTATIONS,
-        help="of windows; unless said otherwise they turn with the face for the parametric method and for several "
-        "initialisations, and are upright else; in upright ones turned faces are not found",
+        help="of windows; unless said otherwise they turn with the face, but are upright for sdm from a single start; "
+        "in upright ones turned faces are not found",
     )
     command.add_argument("--normalisation", choices=NORMALISATIONS, help="of descriptors; vector unless said otherwise")
     command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
@@ -144,6 +158,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         rotations=tuple(arguments.rotations),
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,
+        head=arguments.head,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
         haar=not arguments.no_haar,
         seed=arguments.seed,
@@ -217,7 +232,7 @@ def read_datasets(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
         DatasetError: one cannot be read.
     """
     if len(set(specs)) < len(specs):
-        raise InputError(f"--data: expected each dataset once; got {' '.join(specs)}")
+        raise InputError(f"expected each dataset once; got {' '.join(specs)}")
     datasets = [read_dataset(spec) for spec in specs]
     return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
 

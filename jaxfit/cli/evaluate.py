@@ -12,6 +12,7 @@ from jaxfit.cli.arguments import (
     add_boxes,
     add_datasets,
     add_initialisations,
+    add_refine,
     given_boxes,
     out_folder,
     read_datasets,
@@ -24,15 +25,19 @@ from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.records import Dataset
 from jaxfit.evaluating import Evaluation, evaluate, match_boxes, require_scheme, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
+from jaxfit.evaluation.pose import ANGLES, POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
 from jaxfit.models.files import load
-from jaxfit.models.model import Model
+from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import CONVERSIONS
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme
 
-_COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, "ms/face": ".1f"}
-_FACE_COLUMNS = ("dataset", "face", "subject", "image", "x", "y", "width", "height", "nmed", "problem")
+_ERROR_3D = "3D median"
+_COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
+_BOX_COLUMNS = ("x", "y", "width", "height")
+_POSE_COLUMNS = tuple(f"{of}{angle}" for of in ("", "true_") for angle in ANGLES)
+_FACE_COLUMNS = ("dataset", "face", "subject", "image", *_BOX_COLUMNS, "nmed", "nmed_3d", *_POSE_COLUMNS, "problem")
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -41,13 +46,17 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "evaluate",
         help="measure a model on labelled faces",
         description="Measure a model on labelled faces: normalised mean Euclidean distance (NMED), AUC and failure "
-        "rate at 0.08. Faces that are not found or cannot be read count as failures. Labels of another landmark "
-        "scheme than the model's are converted to it where that is possible; or the model's fits to theirs; or both to "
-        "what --scheme says.",
+        "rate at 0.08; for 3D models the NMED in 3D and errors of the head's pose as well. Faces that are not found or "
+        "cannot be read count as failures. Labels of another landmark scheme than the model's are converted to it "
+        "where that is possible; or the model's fits to theirs; or both to what --scheme says.",
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     add_datasets(command)
-    add_boxes(command, "fits start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%")
+    add_boxes(
+        command,
+        "fits start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%, or, where there are "
+        "no landmarks, from the dataset's own boxes",
+    )
     command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
     command.add_argument(
         "--normaliser",
@@ -56,6 +65,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="what distances are divided by: outer eye corners (default), pupil centres, bounding square",
     )
     add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
+    add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where report.json and faces.csv go")
     command.set_defaults(run=run)
 
@@ -71,6 +81,7 @@ def run(options: argparse.Namespace) -> int:
         require_scheme(scheme, dataset.faces)
     boxes = given_boxes(options, model)
     folder = out_folder(options.out)
+    kinds = {dataset.spec: _start_kind(model, dataset) if boxes is None else options.box_kind for dataset in datasets}
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
@@ -79,21 +90,22 @@ def run(options: argparse.Namespace) -> int:
                 model,
                 dataset.faces,
                 starts,
-                kind=options.box_kind,
+                kind=kinds[dataset.spec],
                 scheme=scheme,
                 normaliser=options.normaliser,
                 initialisations=options.initialisations,
                 rotations=tuple(options.rotations),
+                refine=options.refine,
                 progress=bars,
             )
-    reports = {spec: _report(result) for spec, result in results.items()}
+    reports = {spec: {"box_kind": kinds[spec], **_report(result)} for spec, result in results.items()}
     with atomic_write(folder / "report.json", "w") as file:
         settings = {
             "boxes": options.boxes,
-            "box_kind": options.box_kind,
             "seed": options.seed,
             "initialisations": options.initialisations,
             "rotations": list(options.rotations),
+            "refine": options.refine,
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
@@ -106,7 +118,12 @@ def run(options: argparse.Namespace) -> int:
         f"NMED over {NORMALISER_TITLES[options.normaliser]}. The mean is over fitted faces; faces without a fit count "
         "in the median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
     )
-    print(text_table([_row(spec, result) for spec, result in results.items()], _COLUMNS))
+    columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.solid is not None}
+    print(text_table([_row(spec, result) for spec, result in results.items()], columns))
+    for spec, result in results.items():
+        if result.pose is not None and np.isfinite(result.true_pose).any():
+            print(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
+            print(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
     print(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
     return 0
 
@@ -124,6 +141,17 @@ def _measured_scheme(model: Model, dataset: Dataset) -> Scheme:
     return dataset.scheme if (model.scheme.name, dataset.scheme.name) in CONVERSIONS else model.scheme
 
 
+def _start_kind(model: Model, dataset: Dataset) -> str:
+    """The kind of the boxes that fits start from without ``--boxes``: datasets without landmarks have their own."""
+    own = dataset.spec.partition(":")[0]
+    if dataset.scheme != NO_LANDMARKS:
+        return SQUARE
+    if own in model.placements:
+        return own
+    print(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
+    return SQUARE
+
+
 def _report(result: Evaluation) -> dict[str, Any]:
     """One dataset's part of ``report.json``; ``ci95`` is half the width of the mean's 95 % confidence interval."""
     seconds = result.seconds_per_face
@@ -134,11 +162,28 @@ def _report(result: Evaluation) -> dict[str, Any]:
         "undetected": len(result.faces) - fitted,
         "normaliser": NORMALISER_TITLES[result.normaliser],
         "seconds_per_face": seconds if isfinite(seconds) else None,
+        **_report_3d(result),
+    }
+
+
+def _report_3d(result: Evaluation) -> dict[str, Any]:
+    """What is said of 3D models only."""
+    if result.pose is None or result.errors_3d is None:
+        return {}
+    return {
+        "nmed_3d": summarise(result.errors_3d).as_json()["nmed"],
+        "pose": pose_report(result.ordered_pose, result.true_pose),
     }
 
 
 def _row(spec: str, result: Evaluation) -> dict[str, object]:
-    return {"dataset": spec, **summary_row(result.errors), "ms/face": result.seconds_per_face * 1000}
+    median_3d = None if result.errors_3d is None else summarise(result.errors_3d).median
+    return {
+        "dataset": spec,
+        **summary_row(result.errors),
+        _ERROR_3D: median_3d,
+        "ms/face": result.seconds_per_face * 1000,
+    }
 
 
 def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
@@ -147,5 +192,8 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
         for number, face in enumerate(result.faces):
             box = [f"{value:.3f}" for value in result.boxes[number]]
             error = result.errors[number]
+            error_3d = "" if result.errors_3d is None else f"{result.errors_3d[number]:.6f}"
+            angles = np.concatenate([result.ordered_pose[number], result.true_pose[number]])
+            pose = ["" if isnan(angle) else f"{angle:.3f}" for angle in angles]
             problem = result.problems.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
-            yield [spec, face.face, face.subject, face.image, *box, f"{error:.6f}", problem]
+            yield [spec, face.face, face.subject, face.image, *box, f"{error:.6f}", error_3d, *pose, problem]

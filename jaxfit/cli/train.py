@@ -7,7 +7,9 @@ from pathlib import Path
 from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, shared_scheme, training_options
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.exceptions import InputError
+from jaxfit.lifting import lift_labels
 from jaxfit.models.files import SUFFIX, save
+from jaxfit.models.heads import load_head
 from jaxfit.training import METHODS, train
 
 
@@ -29,6 +31,16 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_datasets(command)
     command.add_argument("--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write")
     command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
+    command.add_argument(
+        "--lift",
+        nargs="+",
+        default=[],
+        metavar="SPEC",
+        help="more datasets, of other or incomplete landmarks: a 3D head model (--head) gives them all of the others'",
+    )
+    command.add_argument(
+        "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
+    )
     add_training(command)
     command.set_defaults(run=run)
 
@@ -43,16 +55,23 @@ def run(options: argparse.Namespace) -> int:
         )
     datasets = read_datasets(options.data, options.scheme)
     scheme = shared_scheme(datasets)
+    faces = [face for dataset in datasets for face in dataset.faces]
+    problems = [problem for dataset in datasets for problem in dataset.problems]
+    for dataset in read_datasets(options.lift, None):
+        lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(options.head), options.lift_yaw)
+        faces += lifted.faces
+        problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in lifted.problems)]
+        print(f"{dataset.spec}: {len(lifted.faces)} of {len(dataset.faces)} faces lifted to {scheme.name}")
     with Bars() as bars:
         trained = train(
-            [face for dataset in datasets for face in dataset.faces],
+            faces,
             scheme,
             method=options.method,
             options=training_options(options, scheme, options.method),
             progress=bars,
         )
     save(trained.model, out)
-    report_problems([problem for dataset in datasets for problem in dataset.problems] + list(trained.problems))
+    report_problems(problems + list(trained.problems))
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     print(f"boxes it knows: {', '.join(trained.model.placements)}")

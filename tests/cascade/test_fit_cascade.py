@@ -1,4 +1,4 @@
-"""Fitting: against a plain loop, one face against batches, several starts against brute force, and derivatives."""
+"""Fitting: a plain loop, one face against batches, several starts against brute force, derivatives; heads in 3D."""
 
 from dataclasses import replace
 
@@ -9,10 +9,13 @@ from blobs import FRAME, MEAN, SPACE, Patch, blob_faces, shape_model_space
 from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
-from jaxfit.cascade.fit import centroid, fit_crops, fit_face, fit_starts, start_rotations, starts_of
+from jaxfit.cascade.fit import centroid, fit_crops, fit_face, fit_heads, fit_starts, start_rotations, starts_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
+from jaxfit.shapes.asm import ActiveShapeModel
+from jaxfit.shapes.camera_asm import CameraASM
+from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.space import Start
 
 CROPS, _ = blob_faces(4, seed=0)
@@ -204,3 +207,114 @@ def test_derivatives_of_the_whole_cascade_are_finite():
     by_weights, by_params = derivatives(cascade.weights, START, noise)
     assert np.any(by_weights != 0, (1, 2)).all()  # every step's
     assert np.any(by_params != 0)
+
+
+# A head of eight points whose bounding square, seen from the front, lies around its centroid.
+HEAD = CameraASM(
+    ActiveShapeModel(
+        mean=jnp.array(
+            [
+                [-12.0, -12, 3],
+                [12, 12, 3],
+                [12, -12, 2],
+                [-12, 12, 2],
+                [-5, 4, -4],
+                [5, -4, -4],
+                [2, 6, -9],
+                [-2, -6, 7],
+            ]
+        ),
+        modes=jnp.asarray(
+            np.linalg.qr(np.random.default_rng(0).normal(size=(24, 2)))[0].T.reshape(2, 8, 3), jnp.float32
+        ),
+        deviations=jnp.array([3.0, 2.0]),
+    ),
+    jnp.float32(3.0),
+)
+
+
+def solid_cascade(strength=0.1, turns=True, space=HEAD):
+    patch, rng = Patch(turns), np.random.default_rng(0)
+    return Cascade(
+        space=space,
+        weights=jnp.asarray(strength * rng.normal(size=(3, 8 * patch.size, space.size)), jnp.float32),
+        biases=jnp.zeros((3, space.size)),
+        windows=jnp.asarray([16.0, 12.0, 8.0]),
+        descriptor=patch,
+        frame=FRAME,
+    )
+
+
+def rotations_of(poses):
+    """Rotations of roll, pitch and yaw in degrees, by SciPy: y is down, so that looking up turns against the axis."""
+    roll, pitch, yaw = np.asarray(poses).T
+    return Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True).as_matrix()
+
+
+def test_a_still_cascade_gives_the_mean_head_as_it_starts():
+    heads = fit_heads(solid_cascade(0.0), CROPS, jnp.float32([0.5]))
+    np.testing.assert_allclose(heads.pose, np.tile([np.degrees(0.5), 0, 0], (4, 1)), atol=1e-4)
+    np.testing.assert_array_equal(heads.b, np.zeros((4, 2)))
+    assert heads.scale[0] < 0.95  # turned, the square around it is larger
+    depths = heads.scale[0] * HEAD.model.mean[:, 2]
+    np.testing.assert_allclose(heads.landmarks_3d[..., 2], np.tile(depths, (4, 1)), atol=1e-4)
+
+
+def test_heads_are_those_of_the_fits_that_are_kept():
+    cascade = solid_cascade()
+    heads = fit_heads(cascade, CROPS, jnp.asarray(ROTATIONS))
+    np.testing.assert_allclose(heads.landmarks, fit_crops(cascade, CROPS, jnp.asarray(ROTATIONS)), atol=1e-2)
+    np.testing.assert_allclose(heads.landmarks_3d[..., :2], heads.landmarks, atol=1e-3)
+    shapes = np.asarray(HEAD.model.mean + np.tensordot(heads.b, HEAD.model.modes, 1))
+    turned = np.asarray(heads.scale)[:, None, None] * shapes @ rotations_of(heads.pose).swapaxes(1, 2)
+    places = np.asarray(heads.landmarks_3d) - turned
+    np.testing.assert_allclose(places[..., 2], 0, atol=1e-3)
+    np.testing.assert_allclose(places[..., :2], np.broadcast_to(places[:, :1, :2], (4, 8, 2)), atol=1e-3)
+    assert np.abs(heads.pose).min() > 0.1
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_a_turned_picture_turns_the_head(quarters):
+    # Quarter turns map pixels onto pixels: the fits are the same, turned.
+    cascade, angle = solid_cascade(), jnp.float32([quarters * np.pi / 2])
+    heads = fit_heads(cascade, CROPS, jnp.zeros(1))
+    turned = fit_heads(cascade, np.rot90(CROPS, -quarters, (1, 2)).copy(), angle)
+    turn = Rotation.from_rotvec([0, 0, float(angle[0])]).as_matrix()
+    np.testing.assert_allclose(rotations_of(turned.pose), turn @ rotations_of(heads.pose), atol=2e-3)
+    centred = np.asarray(heads.landmarks_3d) - [23.5, 23.5, 0]
+    np.testing.assert_allclose(turned.landmarks_3d, centred @ turn.T + [23.5, 23.5, 0], atol=0.02)
+    np.testing.assert_allclose(turned.scale, heads.scale, rtol=1e-3)
+    np.testing.assert_allclose(turned.b, heads.b, atol=0.02)
+
+
+def test_a_head_is_aligned_to_the_landmarks_of_a_2d_cascade():
+    pose, scale, b = np.array([12.0, -20.0, 25.0]), 1.1, np.array([3.0, -2.5])
+    head = np.asarray(HEAD.model.mean + np.tensordot(b, HEAD.model.modes, 1))
+    seen = scale * head @ rotations_of([pose])[0].T
+    points = PointSpace(jnp.asarray(seen[:, :2], jnp.float32))
+    still = replace(
+        solid_cascade(0.0, turns=False), space=points, weights=jnp.zeros((3, 72, 16)), biases=jnp.zeros((3, 16))
+    )
+    heads = fit_heads(still, CROPS[:2], head=HEAD)
+    np.testing.assert_allclose(heads.landmarks, np.tile(seen[:, :2] + FRAME.middle, (2, 1, 1)), atol=1e-3)
+    assert np.linalg.norm(heads.landmarks_3d[..., :2] - heads.landmarks, axis=-1).mean() < 0.3
+    np.testing.assert_allclose(heads.landmarks_3d[..., 2], np.tile(seen[:, 2], (2, 1)), atol=0.6)
+    np.testing.assert_allclose(heads.pose, np.tile(pose, (2, 1)), atol=3)
+    np.testing.assert_allclose(heads.scale, scale, rtol=0.03)
+    np.testing.assert_allclose(heads.b, np.tile(b, (2, 1)), atol=0.6)
+
+
+def test_heads_of_an_empty_batch():
+    heads = fit_heads(solid_cascade(), CROPS[:0])
+    assert [part.shape for part in heads] == [(0, 8, 2), (0, 8, 3), (0, 3), (0,), (0, 2)]
+
+
+def test_heads_that_nothing_tells_of_are_refused():
+    with pytest.raises(InputError, match="expected a cascade of 3D regression, or a 3D shape model to align"):
+        fit_heads(CASCADE, CROPS)
+    with pytest.raises(InputError, match="only alignments can be refined"):
+        fit_heads(solid_cascade(), CROPS, refine=True)
+    with pytest.raises(InputError, match=r"expected crops \(N, 48, 48\)"):
+        fit_heads(solid_cascade(), CROPS[:, 1:])
+    with pytest.raises(InputError, match="at least one rotation"):
+        fit_heads(solid_cascade(), CROPS, jnp.zeros(0))

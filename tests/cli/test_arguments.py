@@ -25,6 +25,7 @@ def test_a_bare_name_changes_nothing(method: str) -> None:
         ("augmentations=7,windows=0.2", replace(GIVEN, windows=(0.2,), augmentations=7)),
         ("windows=0.4,3e-1,seed=7", replace(GIVEN, windows=(0.4, 0.3), seed=7)),
         ("mirror=false,haar=True", replace(GIVEN, mirror=False, haar=True)),
+        ("head=mine.safetensors", replace(GIVEN, head="mine.safetensors")),
         ("normalisation=cell", replace(GIVEN, descriptor=Sift("principal", "cell"))),
         # Neither would go with the other's old value.
         ("face=200,crop=240", replace(GIVEN, frame=Frame(240, 200.0))),
@@ -47,7 +48,7 @@ def test_every_option_can_be_given() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("asm", "a method among sdm, parametric; got 'asm'"),
+        ("asm", "a method among sdm, parametric, alignment3d, regression3d; got 'asm'"),
         (":ridge=1", "got ''"),
         ("sdm:", "expected key=value with a key among windows, .*, orientation, normalisation, crop, face; got ''"),
         ("sdm:frame=3", "got 'frame'"),

@@ -3,17 +3,28 @@
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from drawing import TRAIN
+from drawn_heads import unlabelled
 
 import jaxfit
 from jaxfit.cli.main import main
 from jaxfit.data.boxes import bounding_square
+from jaxfit.data.datasets import FORMATS
 from jaxfit.data.images import write_image
+from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.pts import read_pts, write_pts
+from jaxfit.data.records import Dataset
+from jaxfit.evaluation.pose import pose_report
+from jaxfit.models.heads import load_head, save_head
+from jaxfit.shapes.schemes import AFLW21, NO_LANDMARKS
+
+BOX = ("x", "y", "width", "height")
+POSED = ("roll", "pitch", "yaw", "true_roll", "true_pitch", "true_yaw")
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -214,7 +225,7 @@ def test_labels_of_several_schemes_train_one_model_and_are_converted_to_evaluate
             write_pts(folder / f"face{number:03}.pts", rng.uniform(30, 90, (count, 2)))
         specs.append(f"pts:{folder}")
     out = tmp_path / "model.safetensors"
-    train = ["train", "--data", *specs, "--out", str(out), *TRAIN, "--no-haar"]
+    train = ["train", "--data", *specs, "--out", str(out), *TRAIN, "--windows", "0.6", "--no-haar"]
     assert main(train) == 2
     assert "lfpw29, " in (said := capsys.readouterr().err)
     assert "--scheme can convert some" in said
@@ -230,3 +241,204 @@ def test_labels_of_several_schemes_train_one_model_and_are_converted_to_evaluate
     assert (tmp_path / "a" / "faces.csv").read_bytes() == (tmp_path / "b" / "faces.csv").read_bytes()
     assert main([*evaluate, str(tmp_path / "c"), "--scheme", "aflw21"]) == 2
     assert "finds 27 landmarks (lfpw27)" in capsys.readouterr().err
+
+
+@pytest.fixture
+def formats(heads, monkeypatch) -> None:
+    """Drawn heads as the datasets ``drawn:x``, with landmarks, and ``posed:x``, with boxes and poses alone."""
+    for name, scheme, faces in (
+        ("drawn", AFLW21, heads[:5]),
+        ("posed", NO_LANDMARKS, tuple(map(unlabelled, heads[:5]))),
+    ):
+        dataset = Dataset(name, scheme, faces)
+        monkeypatch.setitem(FORMATS, name, lambda _, dataset=dataset: dataset)
+
+
+@pytest.fixture
+def head_file(head_models, tmp_path: Path) -> Path:
+    """A file of 3D regression."""
+    jaxfit.save(head_models["regression3d"], tmp_path / "heads.safetensors")
+    return tmp_path / "heads.safetensors"
+
+
+def strictly(text: str) -> dict:
+    """What valid JSON says: NaN and infinity are none."""
+
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_evaluate_reports_poses_and_errors_in_3d(formats, heads, head_file: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    assert main(["evaluate", str(head_file), "--data", "drawn:x", "posed:x", "--out", str(out)]) == 0
+    reports = strictly((out / "report.json").read_text())["datasets"]
+    rows = rows_of(out / "faces.csv")
+    assert tuple(rows[0]) == ("dataset", "face", "subject", "image", *BOX, "nmed", "nmed_3d", *POSED, "problem")
+    for spec, report in reports.items():
+        faces = [row for row in rows if row["dataset"] == spec]
+        fitted, truth = ([[float(row[name]) for name in names] for row in faces] for names in (POSED[:3], POSED[3:]))
+        np.testing.assert_allclose(truth, [face.pose for face in heads[:5]], atol=1e-3)
+        for within, limit in (("all", 360), ("yaw_within_45", 45)):
+            chosen = np.abs(np.array(truth)[:, 2]) <= limit
+            expected = pose_report(np.array(fitted)[chosen], np.array(truth)[chosen])["all"]
+            told = report["pose"][within]
+            assert (told["faces"], told["undetected"]) == (chosen.sum(), 0)
+            for angle in POSED[:3]:
+                assert set(told[angle]) == {"mae", "ci95", "median", "bias", "spearman"}
+                for name, value in told[angle].items():
+                    assert value == pytest.approx(expected[angle][name], abs=2e-3), (spec, within, angle, name)
+    errors = [[float(row[name]) for row in rows[:5]] for name in ("nmed", "nmed_3d")]
+    assert reports["drawn:x"]["nmed_3d"]["median"] == pytest.approx(np.median(errors[1]), abs=1e-5)
+    assert reports["drawn:x"]["nmed"]["median"] == pytest.approx(np.median(errors[0]), abs=1e-5)
+    assert {row[name] for row in rows[5:] for name in ("nmed", "nmed_3d")} == {"nan"}
+    assert reports["posed:x"]["nmed_3d"]["median"] is reports["posed:x"]["nmed"]["mean"] is None
+    np.testing.assert_allclose(
+        [[float(row[name]) for name in BOX] for row in rows[5:]],
+        [unlabelled(face).box for face in heads[:5]],
+        atol=1e-3,
+    )
+    said = capsys.readouterr().out
+    assert "the model does not know how faces lie in posed boxes and takes them for square ones" in said
+    assert said.count("errors of the pose in degrees") == 2
+    assert f"{reports['drawn:x']['pose']['all']['yaw']['mae']:.2f}" in said
+    assert f"{reports['drawn:x']['nmed_3d']['median']:.4f}" in said
+
+
+def test_boxes_of_ones_own_take_the_place_of_the_datasets(formats, heads, head_models, tmp_path: Path, capsys) -> None:
+    model = head_models["regression3d"]
+    square = model.placements["square"]
+    known = replace(model, placements={"square": square, "posed": replace(square, log_scale=square.log_scale + 0.1)})
+    jaxfit.save(known, tmp_path / "known.safetensors")
+    evaluate = ["evaluate", str(tmp_path / "known.safetensors"), "--data", "posed:x", "--out"]
+    boxes = write_boxes(tmp_path / "boxes.csv", {face.image.name: unlabelled(face).box for face in heads[:5]})
+    assert main([*evaluate, str(tmp_path / "a")]) == 0
+    assert main([*evaluate, str(tmp_path / "b"), "--boxes", str(boxes), "--box-kind", "posed"]) == 0
+    assert main([*evaluate, str(tmp_path / "c"), "--boxes", str(boxes)]) == 0
+    assert "does not know" not in capsys.readouterr().out
+    own, given, squares = ((tmp_path / name / "faces.csv").read_text() for name in "abc")
+    assert own == given != squares
+
+
+def test_reports_of_2d_models_have_no_poses(formats, drawn: Path, model: Path, tmp_path: Path, capsys) -> None:
+    out, spec = tmp_path / "out", f"pts:{drawn}"
+    assert main(["evaluate", str(model), "--data", spec, "posed:x", "--normaliser", "box", "--out", str(out)]) == 0
+    for report in strictly((out / "report.json").read_text())["datasets"].values():
+        assert not {"pose", "nmed_3d"} & set(report)
+    rows = rows_of(out / "faces.csv")
+    assert {row[name] for row in rows for name in ("nmed_3d", *POSED[:3])} == {""}
+    assert {row["true_yaw"] for row in rows if row["dataset"] == spec} == {""}
+    assert "" not in {row["true_yaw"] for row in rows if row["dataset"] == "posed:x"}
+    said = capsys.readouterr().out
+    assert "3D" not in said
+    assert "errors of the pose" not in said
+
+
+@pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+def test_fit_writes_heads(heads, head_models, tmp_path: Path, method: str) -> None:
+    jaxfit.save(head_models[method], tmp_path / "heads.safetensors")
+    pictures = [face.image for face in heads[:3]]
+    squares = [bounding_square(face.landmarks) for face in heads[:3]]
+    named = {picture.name: box for picture, box in zip(pictures, squares, strict=True)}
+    boxes = write_boxes(tmp_path / "boxes.csv", named | {pictures[1].name: (900, 900, 9, 9)})
+    out = tmp_path / "out"
+    fit = ["fit", *map(str, pictures), "--model", str(tmp_path / "heads.safetensors"), "--boxes", str(boxes)]
+    assert main([*fit, "--out", str(out)]) == 0
+    images = [jaxfit.read_image(picture) for picture in pictures]
+    fits = jaxfit.fit(head_models[method], images, squares)
+    rows, flat = rows_of(out / "heads.csv"), rows_of(out / "landmarks.csv")
+    points = [f"{axis}{i}" for i in range(1, 22) for axis in "xyz"]
+    modes = [f"b{i}" for i in range(1, fits.b.shape[1] + 1)]
+    assert list(rows[0]) == ["image", "face", *POSED[:3], "scale", *points, *modes]
+    assert [row["face"] for row in rows] == [row["face"] for row in flat] == [f"{pictures[n].stem}_1" for n in (0, 2)]
+    for row, plane, number in zip(rows, flat, (0, 2), strict=True):
+        assert row["image"] == plane["image"] == str(pictures[number])
+        solid = np.array([float(row[name]) for name in points]).reshape(21, 3)
+        np.testing.assert_allclose(solid, fits.landmarks_3d[number], atol=1e-3)
+        np.testing.assert_allclose([float(row[name]) for name in POSED[:3]], fits.pose[number], atol=1e-3)
+        np.testing.assert_allclose([float(row[name]) for name in modes], fits.b[number], atol=1e-3)
+        assert float(row["scale"]) == pytest.approx(fits.scale[number], abs=1e-3)
+        seen = np.array([[float(plane[f"{axis}{i}"]) for axis in "xy"] for i in range(1, 22)])
+        np.testing.assert_allclose(seen, fits.landmarks[number], atol=1e-3)
+        if method == "regression3d":
+            np.testing.assert_allclose(solid[:, :2], seen, atol=2e-3)
+        overlay = jaxfit.read_image(out / "overlays" / f"{pictures[number].stem}.jpg").astype(float)
+        in_3d = draw_head(images[number], fits.landmarks_3d[number], fits.pose[number], AFLW21, squares[number])
+        in_2d = draw_landmarks(images[number], fits.landmarks[number], AFLW21, squares[number])
+        assert np.abs(overlay - in_3d).mean() < 0.8 * np.abs(overlay - in_2d).mean()  # JPEG blurs colours
+
+
+def test_2d_models_write_no_heads(drawn: Path, model: Path, tmp_path: Path, capsys) -> None:
+    picture = drawn / "face000.png"
+    boxes = write_boxes(tmp_path / "boxes.csv", {picture.name: bounding_square(read_pts(picture.with_suffix(".pts")))})
+    fit = ["fit", str(picture), "--model", str(model), "--boxes", str(boxes), "--out", str(tmp_path / "out")]
+    assert main(fit) == 0
+    assert not (tmp_path / "out" / "heads.csv").exists()
+    assert "heads.csv" not in capsys.readouterr().out
+    for command in (fit, ["evaluate", str(model), "--data", f"pts:{drawn}", *fit[-2:], "--normaliser", "box"]):
+        assert main([*command, "--refine"]) == 2
+        assert "only models of the method alignment3d" in capsys.readouterr().err
+
+
+def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Faces with hidden points join those with all; training itself is left out: it is told what it would get."""
+    for face in heads[:3]:
+        (tmp_path / face.image.name).write_bytes(face.image.read_bytes())
+        write_pts((tmp_path / face.image.name).with_suffix(".pts"), face.landmarks)
+    hidden = [replace(face, present=np.arange(21) % 4 > 0) for face in heads[3:9]]
+    hidden[5] = replace(hidden[5], present=np.arange(21) < 7)
+    monkeypatch.setitem(FORMATS, "hidden", lambda _: Dataset("", AFLW21, tuple(hidden), ("one more was torn",)))
+    asked = {}
+
+    def train(faces, scheme, **others):
+        asked.update(others, faces=faces, scheme=scheme)
+        return jaxfit.Trained(head_models["regression3d"], len(faces), ())
+
+    monkeypatch.setattr("jaxfit.cli.train.train", train)
+    head, out = tmp_path / "mine.safetensors", tmp_path / "out.safetensors"
+    save_head(load_head(), head)
+    command = [
+        "train",
+        "--data",
+        f"pts:{tmp_path}",
+        "--lift",
+        "hidden:x",
+        "--out",
+        str(out),
+        "--method",
+        "regression3d",
+    ]
+    assert main([*command, "--head", str(head), "--lift-yaw", "9"]) == 0
+    turned = [face for face in hidden[:5] if abs(face.pose[2]) > 9]
+    assert 0 < len(turned) < 5
+    assert (asked["method"], asked["scheme"], asked["options"].head) == ("regression3d", AFLW21, str(head))
+    assert [face.face for face in asked["faces"]] == [face.face for face in [*heads[:3], *turned]]
+    for lifted, face in zip(asked["faces"][3:], turned, strict=True):
+        assert lifted.complete
+        apart = np.linalg.norm(lifted.landmarks - face.landmarks, axis=1)  # hidden ones included
+        assert apart.max() < 0.05 * np.ptp(face.landmarks, 0).max()
+        np.testing.assert_allclose(lifted.pose, face.pose, atol=5)
+    said = capsys.readouterr()
+    assert f"hidden:x: {len(turned)} of 6 faces lifted to aflw21" in said.out
+    assert f"trained on {3 + len(turned)} faces" in said.out
+    for words in ("one more was torn", "1 of 6 faces left out: fewer than 8 labelled points", "turned by less than 9"):
+        assert words in said.err
+    assert jaxfit.load(out).solid is not None
+
+    # A head model knows neither faces without landmarks nor points of unknown meaning.
+    monkeypatch.setitem(FORMATS, "hidden", lambda _: Dataset("", NO_LANDMARKS, tuple(map(unlabelled, heads[:2]))))
+    assert main(command) == 2
+    assert "this head model has no points of scheme none" in capsys.readouterr().err
+    assert main([*command, "--head", "nobody"]) == 2
+    assert "no head model 'nobody': expected one of the bundled head models" in capsys.readouterr().err
+
+
+def test_3d_methods_need_a_head_model_of_the_landmarks(drawn: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("jaxfit.training.read_image", None)  # not reached
+    out = tmp_path / "out.safetensors"
+    for method in ("alignment3d", "regression3d"):
+        train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar", "--method", method]
+        assert main(train) == 2
+        assert "this head model has no points of scheme points5; it has" in capsys.readouterr().err
+    assert not out.exists()

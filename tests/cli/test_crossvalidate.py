@@ -27,14 +27,15 @@ class StandIns:
 
     def train(self, faces, scheme, *, method, options, progress):
         self.trained.append(([face.face for face in faces], method, options))
-        return SimpleNamespace(model=options, problems=())
+        return SimpleNamespace(model=SimpleNamespace(method=method, options=options), problems=())
 
     def evaluate(self, model, faces, boxes, *, normaliser, initialisations, rotations, progress):
-        assert (initialisations, rotations) == (model.initialisations, model.rotations)
+        assert (initialisations, rotations) == (model.options.initialisations, model.options.rotations)
         self.boxes.append(boxes)
-        errors = np.random.default_rng(len(faces)).uniform(0.02, 0.1, len(faces)) * model.ridge**0.1
+        errors = np.random.default_rng(len(faces)).uniform(0.02, 0.1, len(faces)) * model.options.ridge**0.1
         errors[:2] = np.inf, np.nan
-        return SimpleNamespace(errors=errors, problems={})
+        errors_3d = 1.5 * errors if model.method.endswith("3d") else None
+        return SimpleNamespace(errors=errors, errors_3d=errors_3d, problems={})
 
 
 def crossvalidate(*arguments: str, stand_ins: StandIns | None = None) -> int:
@@ -50,9 +51,9 @@ def table_rows(text: str, words: str) -> list[list[str]]:
     return [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith(f"| {words}")]
 
 
-def errors(paths: list[Path]) -> dict[tuple[str, str], float]:
+def errors(paths: list[Path], column: str = "nmed") -> dict[tuple[str, str], float]:
     rows = [row for path in paths for row in csv.DictReader(path.read_text().splitlines())]
-    return {(row["dataset"], row["face"]): float(row["nmed"]) for row in rows}
+    return {(row["dataset"], row["face"]): float(row[column]) for row in rows}
 
 
 def test_a_fold_is_trained_and_measured(drawn: Path, tmp_path: Path) -> None:
@@ -107,6 +108,24 @@ def test_two_methods_side_by_side(drawn: Path, tmp_path: Path, capsys: pytest.Ca
     assert "Compared" not in (out / "table.md").read_text()
     assert crossvalidate(*command, "--ridge", "5") == 2
     assert "other settings (ridge)" in capsys.readouterr().err
+
+
+def test_3d_methods_have_a_table_of_errors_in_3d(drawn: Path, tmp_path: Path) -> None:
+    methods = ["sdm", "alignment3d", "regression3d"]
+    command = ["--data", f"pts:{drawn}", "--out", str(tmp_path), "--folds", "2"]
+    assert crossvalidate(*command, "--method", *methods, stand_ins=StandIns()) == 0
+    with pytest.raises(KeyError):
+        errors([tmp_path / "fold0-sdm.csv"], "nmed_3d")
+    flat, solid = (
+        errors([tmp_path / f"fold{n}-regression3d.csv" for n in (0, 1)], name) for name in ("nmed", "nmed_3d")
+    )
+    np.testing.assert_allclose(list(solid.values()), 1.5 * np.array(list(flat.values())))
+    in_2d, _, in_3d = (tmp_path / "table.md").read_text().partition("In 3D, against labels")
+    name = drawn.name
+    assert [row[1] for row in table_rows(in_2d, name)] == [*methods, *methods[1:]]
+    rows = [row for row in table_rows(in_3d, name) if row[2] == "24"]
+    assert [row[1] for row in rows] == methods[1:]
+    assert f"{np.nanmedian(list(solid.values())):.4f}" in rows[1]
 
 
 def test_wrong_methods_stop_before_the_work(drawn: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,6 +26,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.model import Model
 from jaxfit.shapes.asm import ActiveShapeModel
+from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.schemes import scheme_named
 from jaxfit.shapes.similarity import SimilarityASM
@@ -71,8 +72,33 @@ def parametric_model():
     return replace(points, cascade=cascade)
 
 
+def head(points=2, modes=3):
+    rng = np.random.default_rng(2)
+    shapes = ActiveShapeModel(
+        mean=jnp.asarray(rng.normal(0, 8, (points, 3)), jnp.float32),
+        modes=jnp.asarray(rng.normal(size=(modes, points, 3)), jnp.float32),
+        deviations=jnp.arange(1.0, modes + 1),
+    )
+    return CameraASM(shapes, jnp.float32(3.5))
+
+
+def alignment_model():
+    return replace(parametric_model(), head=head())
+
+
+def regression_model():
+    points, rng = model(), np.random.default_rng(3)
+    cascade = replace(
+        points.cascade,
+        space=head(),
+        weights=jnp.asarray(rng.normal(size=(2, 256, 9)).astype(np.float16), jnp.float32),
+        biases=jnp.asarray(rng.normal(size=(2, 9)), jnp.float32),
+    )
+    return replace(points, cascade=cascade)
+
+
 def same_arrays(a, b):
-    pairs = zip(jax.tree.leaves(a.cascade), jax.tree.leaves(b.cascade), strict=True)
+    pairs = zip(jax.tree.leaves((a.cascade, a.head)), jax.tree.leaves((b.cascade, b.head)), strict=True)
     return all(np.array_equal(one, other) for one, other in pairs)
 
 
@@ -310,6 +336,16 @@ def test_bundled_models_load():
         mean = found.cascade.space.landmarks(found.cascade.space.place(START))
         assert mean.shape == (found.scheme.count, 2)
         assert all(np.isfinite(array).all() for array in jax.tree.leaves(found.cascade))
+        in_3d = found.training["method"].endswith("3d")
+        assert (found.solid is not None) == in_3d
+        assert (found.head is not None) == (found.training["method"] == "alignment3d")
+
+
+def test_files_from_before_heads_still_load(good, loaded):
+    # What they hold is what those of 2D models hold now.
+    assert not any(name.startswith("head") for name in unpack(good))
+    found = loaded(good)
+    assert found.head is found.solid is None
 
 
 def test_a_model_knows_square_boxes():
@@ -320,15 +356,28 @@ def test_a_model_knows_square_boxes():
     assert model().placement("square") == PLACEMENT
 
 
-def test_a_parametric_model_comes_back_as_it_was(tmp_path):
-    path = tmp_path / "parametric.safetensors"
-    save(parametric_model(), path)
+@pytest.mark.parametrize("made", [parametric_model, alignment_model, regression_model])
+def test_models_of_all_methods_come_back_as_they_were(tmp_path, made):
+    path = tmp_path / "a.safetensors"
+    save(made(), path)
     again = load(path)
-    assert same_arrays(again, parametric_model())
-    assert type(again.cascade.space) is SimilarityASM
-    assert again.cascade.descriptor == Sift("face", "cell")
+    assert same_arrays(again, made())
+    assert type(again.cascade.space) is type(made().cascade.space)
+    assert type(again.solid) is type(made().solid)
+    assert again.cascade.descriptor == made().cascade.descriptor
     save(again, tmp_path / "again.safetensors")
     assert (tmp_path / "again.safetensors").read_bytes() == path.read_bytes()
+
+
+def test_what_is_seen_in_3d():
+    assert model().solid is parametric_model().solid is None
+    in_between = regression_model()
+    assert in_between.solid is in_between.cascade.space
+    aligned = alignment_model()
+    assert aligned.solid is aligned.head
+    # A head comes first, as in fitting.
+    both = replace(in_between, head=head(modes=2))
+    assert both.solid is both.head
 
 
 @pytest.mark.parametrize(
@@ -348,3 +397,41 @@ def test_wrong_shapes_of_a_shape_model_are_refused(tmp_path, loaded, name, shape
     save(parametric_model(), tmp_path / "good.safetensors")
     data = (tmp_path / "good.safetensors").read_bytes()
     assert isinstance(loaded(repacked(data, **{name: np.ones(shape, np.float32)})), str)
+
+
+@pytest.mark.parametrize(
+    ("made", "name", "shape"),
+    [
+        (made, name, shape)
+        for made, part in ((alignment_model, "head"), (regression_model, "space"))
+        for name, shape in [
+            (f"{part}.model.mean", (2, 2)),
+            (f"{part}.model.mean", (3, 3)),
+            (f"{part}.model.mean", (6,)),
+            (f"{part}.model.modes", (3, 2, 2)),
+            (f"{part}.model.modes", (4, 2, 3)),
+            (f"{part}.model.modes", (3, 6)),
+            (f"{part}.model.deviations", (4,)),
+            (f"{part}.sigmas", (1,)),
+        ]
+    ],
+)
+def test_damaged_heads_are_refused(tmp_path, loaded, made, name, shape):
+    save(made(), tmp_path / "good.safetensors")
+    data = (tmp_path / "good.safetensors").read_bytes()
+    assert "damaged" in loaded(repacked(data, **{name: np.ones(shape, np.float32)}))
+    assert name in loaded(repacked(data, **{name: None}))
+    array = np.array(unpack(data)[name])
+    array.flat[0] = np.nan
+    assert f"{name} has values that are not finite" in loaded(repacked(data, **{name: array}))
+
+
+def test_a_head_of_other_points_than_the_cascade_finds_is_refused(tmp_path, loaded):
+    save(replace(alignment_model(), head=head(points=3)), tmp_path / "odd.safetensors")
+    assert "head.model.mean has shape (3, 3)" in loaded((tmp_path / "odd.safetensors").read_bytes())
+
+
+def test_heads_that_are_not_finite_are_not_saved(tmp_path):
+    away = replace(head(), sigmas=jnp.float32(np.inf))
+    with pytest.raises(InputError, match=r"head\.sigmas: not finite"):
+        save(replace(alignment_model(), head=away), tmp_path / "a.safetensors")

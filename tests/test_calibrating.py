@@ -1,0 +1,75 @@
+"""A new kind of box is learned from pictures that have no landmarks."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxfit
+from jaxfit.data.images import write_image
+from jaxfit.data.records import FaceRecord
+from jaxfit.shapes.schemes import NO_LANDMARKS
+
+FACES = 10
+
+
+@pytest.fixture(scope="module")
+def portrait() -> np.ndarray:
+    cbook = pytest.importorskip("matplotlib.cbook")
+    return jaxfit.read_image(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False))
+
+
+@pytest.fixture(scope="module")
+def boxed(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> list[FaceRecord]:
+    """The portrait, cut differently; boxes are the detector's, moved right by a tenth, half as large."""
+    folder = tmp_path_factory.mktemp("boxed")
+    records = []
+    for number in range(FACES):
+        picture = portrait[3 * number :, 2 * number :]
+        write_image(folder / f"{number}.png", picture)
+        (found,) = jaxfit.detect_faces(picture)
+        x, y, width, height = found.box
+        box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
+        records.append(_record(folder / f"{number}.png", box))
+    return records
+
+
+def _record(image: Path, box: np.ndarray | None) -> FaceRecord:
+    none = np.zeros(NO_LANDMARKS.count, bool)
+    return FaceRecord(image, np.zeros((0, 2)), none, none, box, None, image.stem, image.stem)
+
+
+def test_boxes_moved_and_shrunk_are_placed_back(boxed: list[FaceRecord], portrait: np.ndarray) -> None:
+    model = jaxfit.load("sdm68")
+    learned, known = jaxfit.calibrate_boxes(model, boxed), model.placement("haar-frontal")
+    (found,) = jaxfit.detect_faces(portrait)
+    x, y, width, height = found.box
+    box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
+    centre, side = learned.face_in(box)
+    # One person's face need not lie in its box as faces do on average, but nearly.
+    expected_centre, expected_side = known.face_in(found.box)
+    np.testing.assert_allclose(centre, expected_centre, atol=0.12 * width)
+    assert side == pytest.approx(expected_side, rel=0.15)
+    # Better still: from the learned kind of box the fit is the one from the detector's.
+    taught = replace(model, placements={**model.placements, "mine": learned})
+    fits = jaxfit.fit(taught, [portrait, portrait], [box, found.box], kind=["mine", "haar-frontal"])
+    apart = np.linalg.norm(fits.landmarks[0] - fits.landmarks[1], axis=1).mean()
+    assert apart < 0.02 * width
+
+
+def test_what_cannot_be_measured_is_left_out_until_too_little_is_left(boxed: list[FaceRecord], tmp_path: Path) -> None:
+    model = jaxfit.load("sdm68")
+    blank = tmp_path / "blank.png"
+    write_image(blank, np.full((200, 200), 90, np.uint8))
+    others = [_record(tmp_path / "none.png", boxed[0].box), _record(blank, boxed[0].box), _record(boxed[0].image, None)]
+    assert jaxfit.calibrate_boxes(model, boxed + others) == jaxfit.calibrate_boxes(model, boxed)
+    with pytest.raises(jaxfit.InputError, match="at least 10 faces that the detector finds in their boxes; found 3"):
+        jaxfit.calibrate_boxes(model, boxed[:3] + others)
+
+
+def test_models_that_do_not_know_the_detector_are_refused(boxed: list[FaceRecord]) -> None:
+    model = jaxfit.load("sdm68")
+    stranger = replace(model, placements={"square": model.placement("square")})
+    with pytest.raises(jaxfit.InputError, match="haar-frontal"):
+        jaxfit.calibrate_boxes(stranger, boxed)
