@@ -115,13 +115,23 @@ def run(arguments: argparse.Namespace) -> int:
                     progress=bars,
                 )
             report_problems([*trained.problems, *result.problems.values()])
-            rows = [(names[i], faces[i].face, repr(e)) for i, e in zip(tested, result.errors.tolist(), strict=True)]
-            write_csv(path, ["dataset", "face", "nmed"], rows)
+            columns = {"nmed": result.errors} | ({} if result.errors_3d is None else {"nmed_3d": result.errors_3d})
+            errors = zip(*(map(repr, column.tolist()) for column in columns.values()), strict=True)
+            rows = [(names[i], faces[i].face, *row) for i, row in zip(tested, errors, strict=True)]
+            write_csv(path, ["dataset", "face", *columns], rows)
 
     paths = {name: [_fold_file(folder, fold, name) for fold in range(arguments.folds)] for name in methods}
     if not all(path.exists() for of_method in paths.values() for path in of_method):
         return 0
-    tables = _tables({name: _errors(of_method) for name, of_method in paths.items()}, list(dict.fromkeys(names)))
+    tables = _tables(
+        {name: _errors(of_method, "nmed") for name, of_method in paths.items()}, list(dict.fromkeys(names))
+    )
+    in_3d = {
+        name: _errors(of_method, "nmed_3d") for name, of_method in paths.items() if METHODS[methods[name][0]].in_3d
+    }
+    if in_3d:
+        tables.append("In 3D, against labels with the depths of the 3D shape model that is aligned to them:")
+        tables += _tables(in_3d, list(dict.fromkeys(names)))
     about = (
         f"{arguments.folds}-fold cross-validation of {scheme.name} landmarks, split by subject; NMED over "
         f"{NORMALISER_TITLES[arguments.normaliser]}.\n"
@@ -139,12 +149,12 @@ def _fold_file(folder: Path, fold: int, method: str) -> Path:
     return folder / f"fold{fold}-{quote(method.replace(':', '-'), safe='=,')}.csv"
 
 
-def _errors(paths: list[Path]) -> dict[tuple[str, str], float]:
-    """The errors in fold files by dataset and face."""
+def _errors(paths: list[Path], column: str) -> dict[tuple[str, str], float]:
+    """The errors in a column of fold files, by dataset and face."""
     errors = {}
     for path in paths:
         with open(path, encoding="utf-8", newline="") as file:
-            errors.update({(row["dataset"], row["face"]): float(row["nmed"]) for row in csv.DictReader(file)})
+            errors.update({(row["dataset"], row["face"]): float(row[column]) for row in csv.DictReader(file)})
     return errors
 
 

@@ -1,0 +1,189 @@
+"""Head pose of 3D models: errors, tables by true pitch and yaw, surfaces, and error against that of the landmarks.
+
+Fits start from the labels' squares, or, in datasets without landmarks, from the dataset's own boxes. How faces lie in
+those is measured on frontal pictures of all other subjects than the one that is tested.
+"""
+
+import argparse
+import platform
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from calibrate import frontal
+from matplotlib import pyplot
+from scipy.spatial.transform import Rotation
+
+import jaxfit
+from jaxfit.calibrating import calibrate_boxes
+from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
+from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.records import Dataset
+from jaxfit.evaluating import Evaluation, evaluate, start_boxes
+from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.plots import plot_pose_surface
+from jaxfit.evaluation.pose import (
+    POSE_COLUMNS,
+    compare_pose,
+    pose_errors,
+    pose_grid,
+    pose_grid_table,
+    pose_rows,
+)
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import JaxfitError
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
+
+PITCHES, YAWS = np.arange(-60, 61, 30.0), np.arange(-90, 91, 22.5)  # where true poses are continuous
+GROUPS = 8  # of faces by landmark error
+CALIBRATOR = "sdm68"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "models", nargs="+", metavar="NAME=MODEL", help="3D models; the later ones are compared with the first"
+    )
+    add_datasets(parser)
+    parser.add_argument("--out", required=True, metavar="DIR", help="where tables and figures go")
+    arguments = parser.parse_args()
+    keep_compiled_code()
+    try:
+        models = {
+            name: jaxfit.load(path or name) for name, _, path in (text.partition("=") for text in arguments.models)
+        }
+        folder = out_folder(arguments.out)
+        parts = [
+            f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
+            "count in the median.",
+        ]
+        for dataset in read_datasets(arguments.data, arguments.scheme):
+            parts += report(models, dataset, folder)
+    except JaxfitError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    text = "\n\n".join(parts) + "\n"
+    (folder / "pose.md").write_text(text, encoding="utf-8")
+    print(text, end="")
+    return 0
+
+
+def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[str]:
+    """What is said of a dataset; its figures go into the folder."""
+    name = dataset.spec.partition(":")[0]
+    with Bars() as bars:
+        results = measured(models, dataset, bars)
+    report_problems([*dataset.problems, *(why for result in results.values() for why in result.problems.values())])
+    rows = [
+        {"model": label, **row}
+        for label, result in results.items()
+        for row in pose_rows(result.ordered_pose, result.true_pose)
+    ]
+    parts = [f"## {name}: {len(dataset.faces)} faces", markdown_table(rows, {"model": "", **POSE_COLUMNS})]
+    first, *others = results
+    for other in others:
+        errors = [pose_errors(results[which].ordered_pose, results[which].true_pose) for which in (first, other)]
+        values = ", ".join(f"{angle} {p:.1e}" for angle, p in compare_pose(*errors).items() if not np.isnan(p))
+        parts.append(f"{other} against {first}, rank-sum p of absolute errors: {values}.")
+    for label, result in results.items():
+        figure = pyplot.figure(figsize=(11, 4.5), layout="constrained")
+        for column, angle in enumerate(("pitch", "yaw"), 1):
+            errors = pose_errors(result.ordered_pose, result.true_pose)[:, 2 - (angle == "pitch")]
+            centres = (None, None) if dataset.scheme == NO_LANDMARKS else (PITCHES, YAWS)
+            grid = pose_grid(errors, result.true_pose, *centres)
+            ax = figure.add_subplot(1, 2, column, projection="3d")
+            plot_pose_surface(grid, ax, f"{label}: {angle} error")
+            title = f"### {name}, {label}: mean absolute {angle} error by true pitch (rows) and yaw"
+            parts.append(f"{title}\n\n{pose_grid_table(grid)}")
+        figure.savefig(folder / f"{name}-{label}.png", dpi=80)
+        pyplot.close(figure)
+    if dataset.scheme == IBUG68:
+        parts.append(against_landmarks(results, folder / f"{name}-geometry.png"))
+    return parts
+
+
+def measured(models: Mapping[str, Model], dataset: Dataset, bars: Bars) -> dict[str, Evaluation]:
+    """The evaluation of each model; without landmarks one subject after the other."""
+    if dataset.scheme != NO_LANDMARKS:
+        boxes = start_boxes(dataset.faces)
+        return {label: evaluate(model, dataset.faces, boxes, progress=bars) for label, model in models.items()}
+    calibrator = jaxfit.load(CALIBRATOR)
+    parts: dict[str, list[Evaluation]] = {label: [] for label in models}
+    for subject in sorted({face.subject for face in dataset.faces}):
+        tested = [face for face in dataset.faces if face.subject == subject]
+        others = [face for face in dataset.faces if face.subject != subject and frontal(face)]
+        placement = calibrate_boxes(calibrator, others, bars)
+        for label, model in models.items():
+            placed = replace(model, placements={**model.placements, SQUARE: placement})
+            parts[label].append(evaluate(placed, tested, start_boxes(tested), progress=bars))
+    return {label: joined(results) for label, results in parts.items()}
+
+
+def joined(results: list[Evaluation]) -> Evaluation:
+    """Evaluations of several sets of faces as one; its problems keep their words, not their numbers."""
+    problems = [why for result in results for why in result.problems.values()]
+    arrays = {
+        name: np.concatenate([getattr(result, name) for result in results])
+        for name in ("boxes", "landmarks", "errors", "pose", "errors_3d")
+    }
+    faces = tuple(face for result in results for face in result.faces)
+    return replace(results[0], faces=faces, problems=dict(enumerate(problems)), **arrays)
+
+
+def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:
+    """How the error of the head's rotation grows with that of its landmarks (thesis 5.4)."""
+    figure, ax = pyplot.subplots(figsize=(7, 4.5), layout="constrained")
+    rows = []
+    for label, result in results.items():
+        truth = np.array([face.landmarks for face in result.faces])
+        # Over the bounding square: the distance of the eye corners vanishes on profiles.
+        landmark_errors = nmed(result.landmarks, truth, IBUG68, "box")
+        turned = rotation_errors(result.ordered_pose, result.true_pose)
+        known = np.isfinite(landmark_errors) & np.isfinite(turned)
+        order = np.flatnonzero(known)[np.argsort(landmark_errors[known])]
+        groups = np.array_split(order, GROUPS)
+        centres = [float(np.median(landmark_errors[group])) for group in groups]
+        medians = [float(np.median(turned[group])) for group in groups]
+        spread = [np.percentile(turned[group], [25, 75]) for group in groups]
+        ax.plot(centres, medians, "o-", label=label)
+        ax.fill_between(centres, *np.transpose(spread), alpha=0.15)
+        rows.append(
+            {
+                "model": label,
+                **{
+                    f"group {k}": f"{c:.3f}: {m:.1f}°" for k, (c, m) in enumerate(zip(centres, medians, strict=True), 1)
+                },
+            }
+        )
+    ax.set(
+        xlabel="landmark error, share of the face's bounding square",
+        ylabel="angle to the true rotation, degrees",
+        xscale="log",
+        yscale="log",
+    )
+    ax.legend()
+    ax.grid(alpha=0.3)
+    figure.savefig(path, dpi=80)
+    pyplot.close(figure)
+    return (
+        f"Median angle between fitted and true rotation by landmark error (of the bounding square), {GROUPS} groups "
+        "of equally many faces:\n\n" + markdown_table(rows, {name: "" for name in rows[0]})
+    )
+
+
+def rotation_errors(poses: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(N,) angles in degrees between rotations given as AFLW2000's roll, pitch, yaw; NaN where one is unknown."""
+    known = np.isfinite(poses).all(1) & np.isfinite(truth).all(1)
+    turns = [Rotation.from_euler("XYZ", p[known][:, [1, 2, 0]] * [-1, 1, 1], degrees=True) for p in (poses, truth)]
+    apart = np.full(len(poses), np.nan)
+    apart[known] = np.degrees((turns[0].inv() * turns[1]).magnitude())
+    return apart
+
+
+if __name__ == "__main__":
+    sys.exit(main())
