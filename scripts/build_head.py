@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import report_problems
 from jaxfit.data.facekit import FACEKIT_SOURCE, FaceKit, facekit_points, read_facekit, sample_heads
 from jaxfit.data.facewarehouse import read_facewarehouse
 from jaxfit.data.images import write_image
 from jaxfit.data.mesh_points import MeshPoints, read_mesh_points, union
 from jaxfit.data.overlays import draw_landmarks
-from jaxfit.exceptions import JaxfitError
 from jaxfit.models.heads import HeadModel, learn_head, save_head
 from jaxfit.shapes.schemes import scheme_named
 
@@ -48,11 +48,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.facewarehouse and (not arguments.points or arguments.render):
         parser.error("--facewarehouse needs --points, and draws no --render")
-    try:
-        return run(arguments)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, arguments)
 
 
 def run(arguments: argparse.Namespace) -> int:

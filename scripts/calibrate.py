@@ -8,10 +8,9 @@ import numpy as np
 
 import jaxfit
 from jaxfit.cli.arguments import read_datasets
-from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.records import FaceRecord
-from jaxfit.exceptions import JaxfitError
 
 # Degrees of labelled pitch and yaw up to which a head counts as frontal; where no pose is known all are measured.
 FRONTAL = 15
@@ -22,18 +21,16 @@ def main() -> int:
     parser.add_argument("model", metavar="MODEL", help="a model that was trained with the Haar detectors")
     parser.add_argument("--data", required=True, metavar="SPEC", help="a dataset with boxes; its format names the kind")
     parser.add_argument("--out", required=True, metavar="MODEL.safetensors", help="the model file to write")
-    arguments = parser.parse_args()
-    keep_compiled_code()
-    try:
-        model = jaxfit.load(arguments.model)
-        (dataset,) = read_datasets([arguments.data], None)
-        with Bars() as bars:
-            placement = jaxfit.calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
-        kind = dataset.spec.partition(":")[0]
-        jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    model = jaxfit.load(arguments.model)
+    (dataset,) = read_datasets([arguments.data], None)
+    with Bars() as bars:
+        placement = jaxfit.calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
+    kind = dataset.spec.partition(":")[0]
+    jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
     print(f"{arguments.out}: knows {kind} boxes, shift {placement.shift}, log scale {placement.log_scale:.3f}")
     return 0
 

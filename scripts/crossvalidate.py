@@ -25,7 +25,7 @@ from jaxfit.cli.arguments import (
     training_options,
     variant,
 )
-from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
 from jaxfit.evaluating import evaluate, start_boxes
@@ -38,7 +38,7 @@ from jaxfit.evaluation.tables import (
     markdown_table,
     summary_row,
 )
-from jaxfit.exceptions import InputError, JaxfitError
+from jaxfit.exceptions import InputError
 from jaxfit.training import METHODS, train
 
 
@@ -58,12 +58,7 @@ def main() -> int:
     parser.add_argument("--normaliser", choices=NORMALISERS, default="outer")
     parser.add_argument("--out", required=True, metavar="DIR", help="where folds and the table go")
     arguments = parser.parse_args()
-    keep_compiled_code()
-    try:
-        return run(arguments)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, arguments)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 import jaxfit
 from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
-from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import Dataset
 from jaxfit.evaluating import Evaluation, evaluate, start_boxes
 from jaxfit.evaluation.errors import nmed
@@ -35,7 +36,6 @@ from jaxfit.evaluation.pose import (
     pose_rows,
 )
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import JaxfitError
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
 
@@ -51,24 +51,22 @@ def main() -> int:
     )
     add_datasets(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="where tables and figures go")
-    arguments = parser.parse_args()
-    keep_compiled_code()
-    try:
-        models = {
-            name: jaxfit.load(path or name) for name, _, path in (text.partition("=") for text in arguments.models)
-        }
-        folder = out_folder(arguments.out)
-        parts = [
-            f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
-            "count in the median.",
-        ]
-        for dataset in read_datasets(arguments.data, arguments.scheme):
-            parts += report(models, dataset, folder)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    named = (text.partition("=") for text in arguments.models)
+    models = {name: jaxfit.load(path or name) for name, _, path in named}
+    folder = out_folder(arguments.out)
+    parts = [
+        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
+        "count in the median.",
+    ]
+    for dataset in read_datasets(arguments.data, arguments.scheme):
+        parts += report(models, dataset, folder)
     text = "\n\n".join(parts) + "\n"
-    (folder / "pose.md").write_text(text, encoding="utf-8")
+    with atomic_write(folder / "pose.md", "w") as file:
+        file.write(text)
     print(text, end="")
     return 0
 

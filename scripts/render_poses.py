@@ -20,6 +20,7 @@ import numpy as np
 from scipy.interpolate import RBFInterpolator
 
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, seed
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.crops import cut_face, to_crop
@@ -29,7 +30,7 @@ from jaxfit.data.mesh_points import MeshPoints
 from jaxfit.data.outputs import require_same_settings
 from jaxfit.data.pts import write_pts
 from jaxfit.data.records import FaceRecord
-from jaxfit.exceptions import ImageError, InputError, JaxfitError
+from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.shapes.alignment import Alignment, align_head
@@ -113,11 +114,7 @@ def main() -> int:
     parser.add_argument("--seed", type=seed, default=0, help="of the poses")
     parser.add_argument("--out", required=True, metavar="DIR", help="where pictures and .pts files go")
     arguments = parser.parse_args()
-    try:
-        return run(arguments)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, arguments)
 
 
 def run(arguments: argparse.Namespace) -> int:

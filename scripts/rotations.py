@@ -30,7 +30,7 @@ from jaxfit.cli.arguments import (
     training_options,
     variant,
 )
-from jaxfit.cli.main import keep_compiled_code
+from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.images import read_image, to_grey
@@ -40,7 +40,7 @@ from jaxfit.evaluating import start_boxes
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError, JaxfitError
+from jaxfit.exceptions import InputError
 from jaxfit.shapes.conversions import convert
 from jaxfit.shapes.schemes import Scheme
 from jaxfit.training import train
@@ -66,12 +66,7 @@ def main() -> int:
     parser.add_argument("--out", required=True, metavar="DIR", help="where models, tables and the figure go")
     parser.set_defaults(initialisations=max(COUNTS))
     arguments = parser.parse_args()
-    keep_compiled_code()
-    try:
-        return run(arguments)
-    except JaxfitError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+    return exit_code(run, arguments)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
@@ -28,13 +28,15 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if it did what it was asked, 1 if no face could be fitted, 2 after a wrong request."""
     options = parser().parse_args(arguments)
+    return exit_code(options.run, options)
+
+
+def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
+    """What ``run`` returns; 2 after an error, which is said in one line, 130 if stopped. Compiled code is kept."""
     keep_compiled_code()
     try:
-        return options.run(options)
-    except JaxfitError as error:
-        print(f"jaxfit: error: {error}", file=sys.stderr)
-        return 2
-    except OSError as error:
+        return run(options)
+    except (JaxfitError, OSError) as error:
         # Full disks, folders that may not be written to: nothing that a traceback would explain better.
         print(f"jaxfit: error: {error}", file=sys.stderr)
         return 2
