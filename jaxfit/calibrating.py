@@ -34,9 +34,11 @@ def calibrate_boxes(
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
-        InputError: the model does not know the detector's boxes, or fewer than ten faces were found.
+        InputError: the model does not know the detector's boxes, or no face has a box, or fewer than ten were found.
     """
     model.placement(_DETECTOR)
+    if not any(face.box is not None for face in faces):
+        raise InputError("expected faces with boxes, to learn how faces lie in them; got none")
     boxes, found, pictures = [], [], []
     for number, face in enumerate(faces):
         progress("looking for faces in their boxes", number, len(faces))

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.aligning import with_depth
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.images import read_image, to_grey
 from jaxfit.data.records import FaceRecord
-from jaxfit.evaluation.depth import with_depth
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import ImageError, InputError

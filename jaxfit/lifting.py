@@ -6,19 +6,14 @@ Visible points of a turned face give its camera and shape, and with them the poi
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
 import numpy as np
-from jax import numpy as jnp
-from jaxtyping import Array, Bool, Float
 
+from jaxfit.aligning import align_labels
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluation.pose import in_order
 from jaxfit.models.heads import HeadModel
-from jaxfit.shapes.alignment import Weights, align_head
-from jaxfit.shapes.asm import ActiveShapeModel, likely_radius
-from jaxfit.shapes.camera import pose_degrees, rotation_angles, show
+from jaxfit.shapes.asm import likely_radius
 from jaxfit.shapes.schemes import Scheme
-from jaxfit.types import Landmarks
 
 # Fewer points leave too much open.
 _FEWEST = 8
@@ -51,6 +46,8 @@ def lift_labels(
 ) -> Lifted:
     """Labels of ``target`` for faces labelled with (some of) ``source``.
 
+    All of them are where the head model has them, those that were labelled, too: nearby, not quite the same.
+
     Left out are faces with fewer than eight labelled points, those that the head model does not explain, and those
     whose labelled pose differs by more than 20 degrees, in pitch or yaw, from the one that the points give.
 
@@ -68,17 +65,17 @@ def lift_labels(
     model = head.of_points([*given, *wanted], _VARIANCE)
     known = np.array([face.present for face in faces]).reshape(-1, source.count)
     labels = np.array([face.landmarks for face in faces]).reshape(-1, source.count, 2)
-    labels = np.where(known[..., None], labels, 0.0)
-    # float32 would lose sub-pixels in the corner of a large picture.
-    share = known / np.maximum(known.sum(-1, keepdims=True), 1)
-    middles = np.einsum("nl,nld->nd", share, labels)
-    points = np.pad(labels - middles[:, None], ((0, 0), (0, target.count), (0, 0)))
-    weights = np.pad(known, ((0, 0), (0, target.count)))
-    shown, poses, ok, likely = jax.tree.map(np.asarray, _align(model, *map(jnp.float32, (points, weights))))
-    enough = ok & (known.sum(1) >= _FEWEST)
-    comparable = in_order(poses, [face.pose_order for face in faces])
+    labels = np.where(known[..., None], labels, np.nan)
+    found = align_labels(model, np.pad(labels, ((0, 0), (0, target.count), (0, 0)), constant_values=np.nan))
+    enough = found.ok & (known.sum(1) >= _FEWEST)
+    # A mirrored face, its left taken for its right, is one seen from behind.
+    _, pitch, yaw = np.radians(found.pose).T
+    ahead = np.cos(pitch) * np.cos(yaw) > _BEHIND
+    spread = (found.b / np.asarray(model.deviations)) ** 2
+    likely = (found.error <= _WORST) & ahead & (spread.sum(1) <= likely_radius(len(model.deviations)) ** 2)
+    comparable = in_order(found.pose, [face.pose_order for face in faces])
     agree = np.array([_agree(face, pose) for face, pose in zip(faces, comparable, strict=True)], bool)
-    turned = np.abs(poses[:, 2]) >= least_yaw
+    turned = np.abs(found.pose[:, 2]) >= least_yaw
     problems, kept = [], np.ones(len(faces), bool)
     for good, why in (
         (enough, f"fewer than {_FEWEST} labelled points, or all on a line"),
@@ -93,10 +90,10 @@ def lift_labels(
     lifted = [
         replace(
             faces[n],
-            landmarks=shown[n, source.count :].astype(np.float64) + middles[n],
+            landmarks=found.landmarks[n, source.count :, :2],
             present=present,
             visible=present.copy(),
-            pose=poses[n].astype(np.float64),
+            pose=found.pose[n],
             pose_order="roll-pitch-yaw",
         )
         for n in map(int, np.flatnonzero(kept))
@@ -110,23 +107,3 @@ def _agree(face: FaceRecord, pose: np.ndarray) -> bool:
         return True
     apart = np.abs((pose - face.pose + 180) % 360 - 180)[1:]
     return bool((np.isnan(apart) | (apart <= _DISAGREE)).all())
-
-
-@jax.jit
-def _align(
-    model: ActiveShapeModel, points: Float[Array, "faces landmarks 2"], weights: Float[Array, "faces landmarks"]
-) -> tuple[Float[Array, "faces landmarks 2"], Float[Array, "faces 3"], Bool[Array, "faces"], Bool[Array, "faces"]]:
-    """All points where they are seen, poses in degrees, whether the known points determine them, and are likely."""
-    side = jnp.ptp(model.mean, 0).max()
-    radius = likely_radius(len(model.deviations))
-
-    def one(points: Landmarks, weights: Weights) -> tuple[Landmarks, Array, Array, Array]:
-        b, camera, error, _ = align_head(model, points, weights)
-        shown = show(model.reconstruct(b), camera)[:, :2]
-        near = error <= _WORST * side * camera.scale * weights.sum()
-        # A mirrored face, its left taken for its right, is one seen from behind.
-        ahead = camera.rotation[2, 2] > _BEHIND
-        likely = near & ahead & (jnp.sum((b / model.deviations) ** 2) <= radius**2)
-        return shown, pose_degrees(*rotation_angles(camera.rotation)), camera.ok, likely
-
-    return jax.vmap(one)(points, weights)

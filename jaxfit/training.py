@@ -24,7 +24,7 @@ from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.shapes.asm import ActiveShapeModel, likely_radius
+from jaxfit.shapes.asm import likely_radius
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace, mean_face
 from jaxfit.shapes.schemes import Scheme, mirrored
@@ -34,6 +34,8 @@ from jaxfit.shapes.space import ShapeSpace
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
 _FEWEST_DETECTED = 10
+# Width to length of a face below which it is a line.
+_FLAT = 0.01
 # How far starts of several initialisations are turned in training, as a share of the range that they cover.
 _REACH = 0.7
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
@@ -137,7 +139,7 @@ def _camera_asm(faces: np.ndarray, scheme: Scheme, options: Options) -> CameraAS
     """Pictures tell nothing of depth: the shape model is that of a head model."""
     in_cm = load_head(options.head).of(scheme, options.shape_variance)
     pixels = options.frame.face / jnp.ptp(in_cm.mean[:, :2], 0).max()
-    model = ActiveShapeModel(in_cm.mean * pixels, in_cm.modes, in_cm.deviations * pixels)
+    model = in_cm.scaled(pixels)
     sigmas = likely_radius(len(model.deviations)) if options.sigmas is None else options.sigmas
     return CameraASM(model, jnp.float32(sigmas))
 
@@ -198,6 +200,8 @@ def train(
     if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
         raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
     complete, problems = _usable(faces, scheme)
+    if scheme.count == 0:
+        raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
     if len(complete) < 2:
         raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
     # A head model without these landmarks stops before the work.
@@ -274,9 +278,17 @@ def _usable(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecor
     problems = []
     if left_out := len(faces) - len(complete):
         problems.append(f"{left_out} of {len(faces)} faces left out: not all {scheme.count} landmarks are annotated")
-    points = [face for face in complete if bounding_square(face.landmarks)[2] == 0]
-    problems += [f"{face.image}: all landmarks are the same point" for face in points]
-    return [face for face in complete if bounding_square(face.landmarks)[2] > 0], problems
+    flat = [_on_a_line(face.landmarks) for face in complete]
+    problems += [
+        f"{face.image}: all landmarks lie on a line" for face, of_face in zip(complete, flat, strict=True) if of_face
+    ]
+    return [face for face, of_face in zip(complete, flat, strict=True) if not of_face], problems
+
+
+def _on_a_line(points: np.ndarray) -> bool:
+    """Whether points (L, 2) lie on a line or in one point: they are no face, and tell no pose."""
+    across, along = np.linalg.eigvalsh(np.cov(points.T))
+    return bool(across <= _FLAT**2 * along)
 
 
 class _Detected:
@@ -328,5 +340,7 @@ def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     made = {key: value for key, value in asdict(options).items() if key not in told_elsewhere}
     lists = {"windows": list(options.windows), "rotations": list(options.rotations)}
     # Not the path of a file: where it lay is nobody else's business.
-    head = {"head": Path(options.head).name} if METHODS[method].in_3d else {}
+    head = {}
+    if METHODS[method].in_3d:
+        head = {"head": Path(options.head).name, "head_source": load_head(options.head).source}
     return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists, **head}

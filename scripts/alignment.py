@@ -2,8 +2,8 @@
 
 import argparse
 import platform
+import sys
 import time
-from dataclasses import replace
 from functools import partial
 
 import jax
@@ -12,7 +12,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import jaxfit
+from jaxfit.cli.arguments import seed
+from jaxfit.cli.main import exit_code
 from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.shapes.alignment import Alignment, align_head, refine_head
 from jaxfit.shapes.camera import rotation_matrix
@@ -33,17 +36,22 @@ COLUMNS = {
 }
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, default="ibug68")
     parser.add_argument("--head", default=DEFAULT_HEAD, help="head model: a bundled one's name, or a file")
     parser.add_argument("--shape-variance", type=float, default=0.99)
     parser.add_argument("--faces", type=int, default=256)
-    parser.add_argument("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    parser.add_argument("--seed", type=seed, default=0)
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    if arguments.faces < 1:
+        raise InputError(f"expected --faces of 1 or more; got {arguments.faces}")
     model = load_head(arguments.head).of(scheme_named(arguments.scheme), arguments.shape_variance)
     pixels = FACE / jnp.ptp(model.mean[:, :2], 0).max()
-    model = replace(model, mean=model.mean * pixels, deviations=model.deviations * pixels)
+    model = model.scaled(pixels)
     rng = np.random.default_rng(arguments.seed)
     count = arguments.faces
     b = jnp.asarray(rng.normal(size=(count, len(model.deviations))) * np.asarray(model.deviations), jnp.float32)
@@ -87,7 +95,8 @@ def main() -> None:
         f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}.\n"
     )
     print(markdown_table(rows, COLUMNS))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

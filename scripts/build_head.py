@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jaxfit.cli.arguments import seed
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import report_problems
 from jaxfit.data.facekit import FACEKIT_SOURCE, FaceKit, facekit_points, read_facekit, sample_heads
@@ -18,6 +19,7 @@ from jaxfit.data.facewarehouse import read_facewarehouse
 from jaxfit.data.images import write_image
 from jaxfit.data.mesh_points import MeshPoints, read_mesh_points, union
 from jaxfit.data.overlays import draw_landmarks
+from jaxfit.models.files import check_target
 from jaxfit.models.heads import HeadModel, learn_head, save_head
 from jaxfit.shapes.schemes import scheme_named
 
@@ -36,11 +38,14 @@ def main() -> int:
     heads.add_argument("--facekit", metavar="FILE", help="ICT-FaceKit as one .npz file, see jaxfit.data.facekit")
     heads.add_argument("--facewarehouse", metavar="DIR", help="the folder of Tester_1, Tester_2, …")
     parser.add_argument("--points", metavar="FILE", help="sets of landmarks on the mesh, see jaxfit.data.mesh_points")
-    parser.add_argument("--people", type=int, default=150, help="drawn from ICT-FaceKit")
+    parser.add_argument("--people", type=int, default=150, help="drawn from ICT-FaceKit; FaceWarehouse has its own")
     parser.add_argument("--expressions", type=int, default=20, help="of each, the neutral one included")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument(
         "--unit", type=float, default=10.0, help="centimetres in FaceWarehouse's unit, assumed to be the decimetre"
+    )
+    parser.add_argument(
+        "--meshes", choices=("poses", "blendshapes"), default="poses", help="of FaceWarehouse: 20 or 47 of each person"
     )
     parser.add_argument("--variance", type=float, default=0.9995, help="share of the variance to keep")
     parser.add_argument("--out", metavar="FILE", required=True, help="the head model, ending in .safetensors")
@@ -52,6 +57,7 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_target(Path(arguments.out))
     sets = read_mesh_points(arguments.points) if arguments.points else facekit_points()
     points, indices = union(sets)
     if arguments.facekit:
@@ -59,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         heads = sample_heads(facekit, points, arguments.people, arguments.expressions, arguments.seed)
         source, reference = FACEKIT_SOURCE, points.at(facekit.generic)
     else:
-        heads, problems = read_facewarehouse(arguments.facewarehouse, points)
+        heads, problems = read_facewarehouse(arguments.facewarehouse, points, arguments.meshes)
         report_problems(problems)
         heads *= arguments.unit
         source, reference = FACEWAREHOUSE_SOURCE, heads.mean(0)

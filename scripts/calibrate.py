@@ -3,6 +3,7 @@
 import argparse
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.records import FaceRecord
+from jaxfit.models.files import check_target
 
 # Degrees of labelled pitch and yaw up to which a head counts as frontal; where no pose is known all are measured.
 FRONTAL = 15
@@ -25,6 +27,7 @@ def main() -> int:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    check_target(Path(arguments.out))
     model = jaxfit.load(arguments.model)
     (dataset,) = read_datasets([arguments.data], None)
     with Bars() as bars:

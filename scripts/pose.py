@@ -7,8 +7,9 @@ those is measured on frontal pictures of all other subjects than the one that is
 import argparse
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import jax
@@ -28,6 +29,7 @@ from jaxfit.evaluating import Evaluation, evaluate, start_boxes
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.plots import plot_pose_surface
 from jaxfit.evaluation.pose import (
+    ANGLES,
     POSE_COLUMNS,
     compare_pose,
     pose_errors,
@@ -36,6 +38,7 @@ from jaxfit.evaluation.pose import (
     pose_rows,
 )
 from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
 
@@ -46,23 +49,24 @@ CALIBRATOR = "sdm68"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "models", nargs="+", metavar="NAME=MODEL", help="3D models; the later ones are compared with the first"
-    )
+    parser.add_argument("models", nargs="+", metavar="NAME=MODEL", help="3D models, compared with one another")
     add_datasets(parser)
     parser.add_argument("--out", required=True, metavar="DIR", help="where tables and figures go")
     return exit_code(run, parser.parse_args())
 
 
 def run(arguments: argparse.Namespace) -> int:
-    named = (text.partition("=") for text in arguments.models)
-    models = {name: jaxfit.load(path or name) for name, _, path in named}
+    models = named_models(arguments.models)
     folder = out_folder(arguments.out)
     parts = [
         f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
         "count in the median.",
     ]
-    for dataset in read_datasets(arguments.data, arguments.scheme):
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    formats = [dataset.spec.partition(":")[0] for dataset in datasets]
+    if len(set(formats)) < len(formats):
+        raise InputError(f"expected datasets of different formats, which name the figures; got {' '.join(formats)}")
+    for dataset in datasets:
         parts += report(models, dataset, folder)
     text = "\n\n".join(parts) + "\n"
     with atomic_write(folder / "pose.md", "w") as file:
@@ -71,38 +75,72 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def named_models(texts: Sequence[str]) -> dict[str, Model]:
+    """The models by the names that they are given, else by those of their files; names go into file names."""
+    models: dict[str, Model] = {}
+    for text in texts:
+        name, _, path = text.rpartition("=")
+        name, model = name or Path(path).stem, jaxfit.load(path)
+        if name in models or "/" in name:
+            raise InputError(f"expected models under names of their own, NAME=MODEL; got {' '.join(texts)}")
+        if model.solid is None:
+            raise InputError(f"{path}: expected a model of a 3D method; this one knows no pose")
+        models[name] = model
+    return models
+
+
 def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[str]:
     """What is said of a dataset; its figures go into the folder."""
     name = dataset.spec.partition(":")[0]
     with Bars() as bars:
         results = measured(models, dataset, bars)
     report_problems([*dataset.problems, *(why for result in results.values() for why in result.problems.values())])
-    rows = [
-        {"model": label, **row}
-        for label, result in results.items()
-        for row in pose_rows(result.ordered_pose, result.true_pose)
-    ]
+    rows = [{"model": label, **row} for label, result in results.items() for row in rows_with_beyond(result)]
     parts = [f"## {name}: {len(dataset.faces)} faces", markdown_table(rows, {"model": "", **POSE_COLUMNS})]
-    first, *others = results
-    for other in others:
-        errors = [pose_errors(results[which].ordered_pose, results[which].true_pose) for which in (first, other)]
-        values = ", ".join(f"{angle} {p:.1e}" for angle, p in compare_pose(*errors).items() if not np.isnan(p))
-        parts.append(f"{other} against {first}, rank-sum p of absolute errors: {values}.")
+    errors = {label: pose_errors(result.ordered_pose, result.true_pose) for label, result in results.items()}
+    for one, other in combinations(errors, 2):
+        values = compare_pose(errors[one], errors[other]).items()
+        told = ", ".join(f"{angle} {p:.1e}" for angle, p in values if not np.isnan(p))
+        parts.append(f"{one} and {other}, rank-sum p of absolute errors: {told}.")
+    centres = (None, None) if dataset.scheme == NO_LANDMARKS else (PITCHES, YAWS)
+    parts += [fitted_by_true(results, angle, bins) for angle, bins in zip(("pitch", "yaw"), centres, strict=True)]
     for label, result in results.items():
         figure = pyplot.figure(figsize=(11, 4.5), layout="constrained")
         for column, angle in enumerate(("pitch", "yaw"), 1):
-            errors = pose_errors(result.ordered_pose, result.true_pose)[:, 2 - (angle == "pitch")]
-            centres = (None, None) if dataset.scheme == NO_LANDMARKS else (PITCHES, YAWS)
-            grid = pose_grid(errors, result.true_pose, *centres)
+            grid = pose_grid(errors[label][:, ANGLES.index(angle)], result.true_pose, *centres)
             ax = figure.add_subplot(1, 2, column, projection="3d")
             plot_pose_surface(grid, ax, f"{label}: {angle} error")
             title = f"### {name}, {label}: mean absolute {angle} error by true pitch (rows) and yaw"
             parts.append(f"{title}\n\n{pose_grid_table(grid)}")
-        figure.savefig(folder / f"{name}-{label}.png", dpi=80)
+        figure.savefig(folder / f"{name}-{label}.png", dpi=70)
         pyplot.close(figure)
+        parts.append(f"![the two tables as surfaces]({name}-{label}.png)")
     if dataset.scheme == IBUG68:
         parts.append(against_landmarks(results, folder / f"{name}-geometry.png"))
     return parts
+
+
+def rows_with_beyond(result: Evaluation) -> list[dict[str, object]]:
+    """The rows of ``pose_rows``, and those of the faces that are turned farther."""
+    poses = result.ordered_pose, result.true_pose
+    beyond = np.abs(result.true_pose[:, ANGLES.index("yaw")]) > 45
+    farther = [row for row in pose_rows(*(pose[beyond] for pose in poses)) if row["range"] == "all"]
+    return [*pose_rows(*poses), *({**row, "range": "|yaw| > 45°"} for row in farther)]
+
+
+def fitted_by_true(results: Mapping[str, Evaluation], angle: str, centres: np.ndarray | None) -> str:
+    """The mean fitted angle by the true one: whether a method, or a label, takes poses for milder ones."""
+    column, rows = ANGLES.index(angle), []
+    for label, result in results.items():
+        fitted, truth = result.ordered_pose[:, column], result.true_pose[:, column]
+        known = np.isfinite(fitted) & np.isfinite(truth)
+        labels = np.unique(truth[np.isfinite(truth)]) if centres is None else centres
+        nearest = np.abs(truth[known, None] - labels).argmin(1)
+        groups = [fitted[known][nearest == k] for k in range(len(labels))]
+        means = [group.mean() if len(group) else np.nan for group in groups]
+        rows.append({"model": label, **{f"{value:g}": mean for value, mean in zip(labels, means, strict=True)}})
+    columns = {"model": "", **dict.fromkeys(list(rows[0])[1:], ".0f")}
+    return f"Mean fitted {angle} where the true one is (nearest to) so many degrees:\n\n{markdown_table(rows, columns)}"
 
 
 def measured(models: Mapping[str, Model], dataset: Dataset, bars: Bars) -> dict[str, Evaluation]:
@@ -111,6 +149,10 @@ def measured(models: Mapping[str, Model], dataset: Dataset, bars: Bars) -> dict[
         boxes = start_boxes(dataset.faces)
         return {label: evaluate(model, dataset.faces, boxes, progress=bars) for label, model in models.items()}
     calibrator = jaxfit.load(CALIBRATOR)
+    for label, model in models.items():
+        if model.scheme != calibrator.scheme:
+            # Where a face's centre and size are depends on the points.
+            raise InputError(f"{label}: expected a model of {calibrator.scheme.name} for {CALIBRATOR}'s measurements")
     parts: dict[str, list[Evaluation]] = {label: [] for label in models}
     for subject in sorted({face.subject for face in dataset.faces}):
         tested = [face for face in dataset.faces if face.subject == subject]
@@ -144,6 +186,8 @@ def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:
         turned = rotation_errors(result.ordered_pose, result.true_pose)
         known = np.isfinite(landmark_errors) & np.isfinite(turned)
         order = np.flatnonzero(known)[np.argsort(landmark_errors[known])]
+        if len(order) < GROUPS:
+            return f"Fewer than {GROUPS} faces have landmarks and a pose: too few to compare their errors."
         groups = np.array_split(order, GROUPS)
         centres = [float(np.median(landmark_errors[group])) for group in groups]
         medians = [float(np.median(turned[group])) for group in groups]
@@ -170,7 +214,9 @@ def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:
     pyplot.close(figure)
     return (
         f"Median angle between fitted and true rotation by landmark error (of the bounding square), {GROUPS} groups "
-        "of equally many faces:\n\n" + markdown_table(rows, {name: "" for name in rows[0]})
+        "of equally many faces:\n\n"
+        + markdown_table(rows, {name: "" for name in rows[0]})
+        + f"\n\n![the same, with quartiles]({path.name})"
     )
 
 

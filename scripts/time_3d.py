@@ -2,6 +2,7 @@
 
 import argparse
 import platform
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
@@ -14,6 +15,8 @@ import numpy as np
 import jaxfit
 from jaxfit.cascade.fit import fit_crops, fit_heads
 from jaxfit.cli.arguments import add_datasets, read_datasets
+from jaxfit.cli.main import exit_code
+from jaxfit.cli.progress import report_problems
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import start_boxes
 from jaxfit.evaluation.tables import markdown_table
@@ -30,17 +33,22 @@ COLUMNS = {
 }
 
 
-def main() -> None:
+def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("models", nargs="+", metavar="NAME=MODEL", help="3D models")
     add_datasets(parser)
-    arguments = parser.parse_args()
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
     faces = [face for dataset in read_datasets(arguments.data, arguments.scheme) for face in dataset.faces][:FACES]
     images = [read_image(face.image, exif=False) for face in faces]
     rows = []
     for name, _, path in (text.partition("=") for text in arguments.models):
         model = jaxfit.load(path or name)
-        pixels = jnp.asarray(crop_faces(model, images, start_boxes(faces))[0].pixels)
+        crops, problems = crop_faces(model, images, start_boxes(faces))
+        report_problems(list(problems.values()))
+        pixels = jnp.asarray(crops.pixels)
         landmarks = fit_crops(model.cascade, pixels)
         whole = partial(fit_heads, model.cascade, pixels, None, model.head)
         row: dict[str, Any] = {"model": name, "steps": len(model.cascade.windows)}
@@ -57,6 +65,7 @@ def main() -> None:
         f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}, {jax.devices()[0].device_kind}.\n"
     )
     print(markdown_table(rows, COLUMNS))
+    return 0
 
 
 def median_ms_a_face(faces: int, work: Callable[[], Any], repetitions: int = REPETITIONS) -> float:
@@ -70,4 +79,4 @@ def median_ms_a_face(faces: int, work: Callable[[], Any], repetitions: int = REP
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

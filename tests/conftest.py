@@ -1,6 +1,7 @@
-"""What all tests share: array shapes checked at run time, the real data where it is at hand, and models of heads."""
+"""What all tests share: array shapes checked at run time, workers, real data where it is at hand, models of heads."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,12 +16,30 @@ settings.load_profile("jaxfit")
 install_import_hook("jaxfit", "beartype.beartype")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest file comes first, lest one of several workers be left with it alone."""
+    items.sort(key=lambda item: item.path.stem != "test_readme")
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     folder = Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("needs the development data in ../shared/data")
     return folder
+
+
+@pytest.fixture(scope="session")
+def real_dataset(shared_data: Path) -> Callable:
+    """Reads the dataset ``FORMAT:PATH``, its path being one in the real data; each is read once."""
+    from jaxfit.data.datasets import read_dataset
+
+    @cache
+    def read(spec: str):
+        name, path = spec.split(":")
+        return read_dataset(f"{name}:{shared_data / path}")
+
+    return read
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,6 @@
 """``jaxfit.fit``: laws of a bundled model on the portrait that matplotlib ships, real pictures, drawn heads in 3D."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,16 +138,16 @@ def test_several_starts_keep_the_centroid(model, portrait, box, landmarks) -> No
 
 
 @pytest.mark.parametrize("name", ["lfpw68", "helen68", "ytf68"])
-def test_real_faces_are_fitted_from_perturbed_squares(model, shared_data: Path, name: str) -> None:
+def test_real_faces_are_fitted_from_perturbed_squares(model, real_dataset: Callable, name: str) -> None:
     # The model learned from these very faces: this guards the pipeline, it measures nothing.
-    faces = jaxfit.read_dataset(f"pts:{shared_data / name}").faces[::40]
+    faces = real_dataset(f"pts:{name}").faces[::40]
     result = jaxfit.evaluate(model, faces, start_boxes(faces))
     assert not result.problems
     assert np.median(result.errors) < 0.06
 
 
-def test_real_faces_are_found_and_fitted(model, shared_data: Path) -> None:
-    faces = jaxfit.read_dataset(f"pts:{shared_data / 'lfpw68'}").faces[::40]
+def test_real_faces_are_found_and_fitted(model, real_dataset: Callable) -> None:
+    faces = real_dataset("pts:lfpw68").faces[::40]
     images = [jaxfit.read_image(face.image) for face in faces]
     found = [jaxfit.detect_faces(image) for image in images]
     # Pictures of several people: which of them is labelled is not the detector's to know.

@@ -1,6 +1,6 @@
 """The bundled ``parametric68`` on real pictures: any size, any rotation in the picture, and derivatives."""
 
-from pathlib import Path
+from collections.abc import Callable
 
 import cv2
 import jax
@@ -79,11 +79,11 @@ def start_at(frame, factor: float) -> Start:
     return Start(jnp.full(2, frame.middle), jnp.float32(factor), jnp.float32(0.05))
 
 
-@pytest.mark.parametrize("factor", [0.5, 0.7, 1.4, 2.0])
-def test_a_face_of_another_size_has_the_same_descriptors(model, portrait, upright, factor) -> None:
-    # Thesis 3.2.2. The picture is first made coarse enough for all sizes, so that only sampling differs.
+@pytest.fixture(scope="module")
+def seen(model) -> Callable:
+    """The descriptors of a crop, with windows for a face of some size."""
     cascade = model.cascade
-    coarse = cv2.GaussianBlur(portrait, (0, 0), np.ptp(upright, 0).max() / 40)
+    window = jnp.float32(0.2 * cascade.frame.face)
 
     @jax.jit
     def seen(crop, factor):
@@ -91,7 +91,14 @@ def test_a_face_of_another_size_has_the_same_descriptors(model, portrait, uprigh
         state = state_of(cascade.descriptor, cascade.space, params)
         return features_at(cascade.descriptor, cascade.space, cascade.descriptor.prepare(crop), state, window)
 
-    window = jnp.float32(0.2 * cascade.frame.face)
+    return seen
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.7, 1.4, 2.0])
+def test_a_face_of_another_size_has_the_same_descriptors(model, portrait, upright, seen, factor) -> None:
+    # Thesis 3.2.2. The picture is first made coarse enough for all sizes, so that only sampling differs.
+    cascade = model.cascade
+    coarse = cv2.GaussianBlur(portrait, (0, 0), np.ptp(upright, 0).max() / 40)
     one, other = (
         np.asarray(seen(jnp.asarray(crop), jnp.float32(size)))
         for crop, size in zip(faces_of_sizes(coarse, upright, cascade.frame, [1.0, factor]), [1.0, factor], strict=True)
@@ -137,9 +144,9 @@ def test_the_whole_cascade_has_finite_derivatives_on_a_real_face(model, portrait
     assert np.any(by_cascade.weights != 0, (1, 2)).all()  # every step's
 
 
-def test_turned_real_faces_are_as_good_as_upright_ones(model, shared_data: Path) -> None:
+def test_turned_real_faces_are_as_good_as_upright_ones(model, real_dataset: Callable) -> None:
     # The model learned from these very faces: this guards the pipeline, it measures nothing.
-    faces = jaxfit.read_dataset(f"pts:{shared_data / 'lfpw68'}").faces[::40]
+    faces = real_dataset("pts:lfpw68").faces[::40]
     images = [jaxfit.read_image(face.image) for face in faces]
     boxes = start_boxes(faces)
     truth = np.stack([face.landmarks for face in faces])

@@ -99,15 +99,19 @@ def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
     """Fit one face from one start: parameters in, parameters out, both in the crop.
 
     Where windows turn with the face, so does the frame of the fit (see `State`), and what comes out are the parameters
-    in the crop that come nearest to it: for spaces that cannot represent every turned face (see `ShapeSpace.turned`)
-    the landmarks of `fit_crops` are the more exact ones.
+    in the crop that come nearest to it: for spaces that do not have every turned face (see
+    `ShapeSpace.closed_under_rotation`) the landmarks of `fit_crops` are the more exact ones.
 
     A plain function to ``jit``, ``vmap`` and ``grad`` as you like. Differentiable in everything but the hard
     orientation bins of its descriptors.
     """
     descriptor, space = cascade.descriptor, cascade.space
     fitted = fit_state(cascade, descriptor.prepare(crop), state_of(descriptor, space, params))
-    return space.encode(landmarks_of(space, fitted)) if descriptor.turns else fitted.params
+    if not descriptor.turns:
+        return fitted.params
+    if space.closed_under_rotation:
+        return space.turned(fitted.params, fitted.angle)
+    return space.encode(landmarks_of(space, fitted))
 
 
 def start_rotations(initialisations: int, rotations: tuple[float, float]) -> Float[Array, "starts"]:

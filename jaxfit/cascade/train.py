@@ -42,6 +42,11 @@ class Spread:
     log_scale: float
     rotation: float
 
+    @property
+    def sigmas(self) -> Float[Array, "4"]:
+        """All of them: of x, y, the logarithm of the scale, and the rotation."""
+        return jnp.array([*self.shift, self.log_scale, self.rotation], jnp.float32)
+
 
 @dataclass(frozen=True)
 class TrainingSet:
@@ -63,21 +68,25 @@ class TrainingSet:
     pivots: Float[np.ndarray, "faces 2"]
 
 
-def sample_starts(key: Array, count: int, frame: Frame, spread: Spread, turn: Scalar, pivot: Point) -> Start:
-    """``count`` Monte Carlo starts around the middle of the crop, turned about a point of it by up to ``turn`` radians,
-    evenly in both directions."""
+def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"], turn: Scalar, pivot: Point) -> Start:
+    """``count`` Monte Carlo starts around the middle of the crop, spread by ``Spread.sigmas``, turned about a point of
+    the crop by up to ``turn`` radians, evenly in both directions."""
     shift, scale, rotation = random.split(key, 3)
-    sigma = jnp.asarray(spread.shift) * frame.face
     starts = Start(
-        centre=frame.middle + sigma * random.normal(shift, (count, 2)),
-        scale=jnp.exp(spread.log_scale * random.normal(scale, (count,))),
-        rotation=spread.rotation * random.normal(rotation, (count,)),
+        centre=frame.middle + sigmas[:2] * frame.face * random.normal(shift, (count, 2)),
+        scale=jnp.exp(sigmas[2] * random.normal(scale, (count,))),
+        rotation=sigmas[3] * random.normal(rotation, (count,)),
     )
     turns = random.uniform(random.fold_in(rotation, 1), (count,), minval=-turn, maxval=turn)
     return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
-@partial(jax.jit, static_argnames=("descriptor", "count", "frame", "spread"))
+@partial(jax.jit, static_argnames="descriptor")
+def _targets(descriptor: Descriptor, space: ShapeSpace, landmarks: Float[Array, "faces landmarks 2"]) -> State:
+    return vmap(partial(target_of, descriptor, space))(landmarks)
+
+
+@partial(jax.jit, static_argnames=("descriptor", "count", "frame"))
 def _draw(
     descriptor: Descriptor,
     space: ShapeSpace,
@@ -85,18 +94,19 @@ def _draw(
     pivots: Array,
     count: int,
     frame: Frame,
-    spread: Spread,
+    sigmas: Float[Array, "4"],
     turn: Scalar,
 ) -> State:
     """States (faces, augmentations) to start from."""
 
     def face(key: Array, pivot: Point) -> State:
-        starts = sample_starts(key, count, frame, spread, turn, pivot)
+        starts = sample_starts(key, count, frame, sigmas, turn, pivot)
         return vmap(lambda start: state_of(descriptor, space, space.place(start)))(starts)
 
     return vmap(face)(keys, pivots)
 
 
+@partial(jax.jit, static_argnames="descriptor")
 def _describe(
     descriptor: Descriptor,
     space: ShapeSpace,
@@ -113,26 +123,21 @@ def _describe(
     return lax.map(face, (crops, mirrored, states), batch_size=SAMPLED_AT_ONCE)
 
 
-_describe_batch = jax.jit(_describe, static_argnames="descriptor")
+@jax.jit
+def _steps_to(space: ShapeSpace, targets: State, states: State) -> Float[Array, "faces augmentations params"]:
+    return vmap(lambda target, states: vmap(lambda state: step_to(space, target, state))(states))(targets, states)
 
 
-@partial(jax.jit, static_argnames="descriptor", donate_argnames="moments")
+@partial(jax.jit, donate_argnames="moments")
 def _observe(
-    descriptor: Descriptor,
-    space: ShapeSpace,
     projection: Projection,
     moments: Moments,
-    crops: Array,
-    mirrored: Array,
-    states: State,
-    targets: State,
-    valid: Array,
-    window: Scalar,
+    features: Float[Array, "faces augmentations features"],
+    steps: Float[Array, "faces augmentations params"],
+    valid: Bool[Array, "faces"],
 ) -> tuple[Moments, Float[Array, "faces augmentations kept"]]:
     """The moments with a batch added, and the batch's principal components."""
-    features = _describe(descriptor, space, crops, mirrored, states, window)
     reduced = (features - projection.mean) @ projection.axes
-    steps = vmap(lambda target, states: vmap(lambda state: step_to(space, target, state))(states))(targets, states)
     weights = jnp.repeat(valid.astype(jnp.float32), reduced.shape[1])
     moments = moments.add(reduced.reshape(-1, reduced.shape[-1]), steps.reshape(-1, steps.shape[-1]), weights)
     return moments, reduced
@@ -143,11 +148,9 @@ def _advance(
     descriptor: Descriptor,
     space: ShapeSpace,
     states: State,
-    reduced: Float[Array, "faces augmentations kept"],
-    weights: Float[Array, "kept params"],
-    bias: Float[Array, "params"],
+    steps: Float[Array, "faces augmentations params"],
 ) -> State:
-    return vmap(vmap(partial(advanced, descriptor, space)))(states, reduced @ weights + bias)
+    return vmap(vmap(partial(advanced, descriptor, space)))(states, steps)
 
 
 @jax.jit
@@ -207,8 +210,7 @@ def train_cascade(
     size = max(1, min(_BATCH // augmentations, count))
     total = -(-count // size)
     keys = random.split(random.key(seed), count + 1)
-    encode = jax.jit(vmap(lambda landmarks: target_of(descriptor, space, landmarks)))
-    targets = encode(jnp.asarray(faces.landmarks, jnp.float32))
+    targets = _targets(descriptor, space, jnp.asarray(faces.landmarks, jnp.float32))
     states = np.empty((count, augmentations, space.size), np.float32)
     angles = np.empty((count, augmentations), np.float32)
     layers = []
@@ -222,14 +224,16 @@ def train_cascade(
             yield rows, valid
         progress(stage, total, total)
 
-    def pixels(rows: np.ndarray) -> tuple[Array, Array]:
-        return jnp.asarray(faces.crops[faces.source[rows]]), jnp.asarray(faces.mirrored[rows])
-
     def taken(rows: np.ndarray) -> State:
         return State(jnp.asarray(states[rows]), jnp.asarray(angles[rows]))
 
     def put(rows: np.ndarray, new: State) -> None:
         states[rows], angles[rows] = new.params, new.angle
+
+    def described(rows: np.ndarray, window: Scalar) -> Float[Array, "faces augmentations features"]:
+        # Compiled once, apart from what depends on how many components the step's PCA keeps.
+        crops, flips = jnp.asarray(faces.crops[faces.source[rows]]), jnp.asarray(faces.mirrored[rows])
+        return _describe(descriptor, space, crops, flips, taken(rows), window)
 
     def project(stage: str, window: Scalar) -> Projection:
         """Principal axes of the features of samples spread evenly over a random order of the faces."""
@@ -239,14 +243,13 @@ def train_cascade(
         for first in range(0, len(chosen), size):
             progress(stage, first, len(chosen))
             rows = np.resize(chosen[first : first + size], size)
-            crops, flips = pixels(rows)
-            batch = _describe_batch(descriptor, space, crops, flips, taken(rows), window)
+            batch = described(rows, window)
             seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
         return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
 
     for rows, _ in batches("drawing starts"):
         pivots = jnp.asarray(faces.pivots[rows])
-        put(rows, _draw(descriptor, space, keys[rows], pivots, augmentations, frame, spread, jnp.float32(turn)))
+        put(rows, _draw(descriptor, space, keys[rows], pivots, augmentations, frame, spread.sigmas, jnp.float32(turn)))
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
         window = jnp.float32(share * frame.face)
@@ -255,18 +258,16 @@ def train_cascade(
         # Principal components wait on disk for the regressor: describing everything again takes much longer.
         with tempfile.TemporaryFile() as components:
             for rows, valid in batches(f"{step}: features"):
-                crops, flips = pixels(rows)
-                here, there = taken(rows), State(targets.params[rows], targets.angle[rows])
-                moments, reduced = _observe(
-                    descriptor, space, projection, moments, crops, flips, here, there, valid, window
-                )
+                steps = _steps_to(space, State(targets.params[rows], targets.angle[rows]), taken(rows))
+                features = described(rows, window)
+                moments, reduced = _observe(projection, moments, features, steps, jnp.asarray(valid))
                 components.write(np.asarray(reduced).tobytes())
             weights, bias = solve(moments, jnp.float32(ridge))
             layers.append(jax.tree.map(np.asarray, _unfolded(projection, weights, bias)))
             components.seek(0)
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
                 reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
-                put(rows, _advance(descriptor, space, taken(rows), reduced, weights, bias))
+                put(rows, _advance(descriptor, space, taken(rows), jnp.asarray(reduced) @ weights + bias))
     return Cascade(
         space=space,
         weights=jnp.asarray(np.stack([weights for weights, _ in layers])),

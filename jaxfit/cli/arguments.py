@@ -248,7 +248,7 @@ def shared_scheme(datasets: Sequence[Dataset]) -> Scheme:
         if other.scheme != first.scheme:
             raise InputError(
                 f"datasets must share their landmarks: {first.spec} has {first.scheme.name}, {other.spec} has "
-                f"{other.scheme.name}; --scheme can convert some"
+                f"{other.scheme.name}; --scheme can convert some that have landmarks"
             )
     return first.scheme
 

@@ -37,7 +37,8 @@ _ERROR_3D = "3D median"
 _COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
 _BOX_COLUMNS = ("x", "y", "width", "height")
 _POSE_COLUMNS = tuple(f"{of}{angle}" for of in ("", "true_") for angle in ANGLES)
-_FACE_COLUMNS = ("dataset", "face", "subject", "image", *_BOX_COLUMNS, "nmed", "nmed_3d", *_POSE_COLUMNS, "problem")
+_MEASURED_COLUMNS = (*_BOX_COLUMNS, "nmed", "nmed_3d", *_POSE_COLUMNS, "pose_order")
+_FACE_COLUMNS = ("dataset", "face", "subject", "image", *_MEASURED_COLUMNS, "problem")
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -173,6 +174,7 @@ def _report_3d(result: Evaluation) -> dict[str, Any]:
     return {
         "nmed_3d": summarise(result.errors_3d).as_json()["nmed"],
         "pose": pose_report(result.ordered_pose, result.true_pose),
+        "pose_order": sorted({face.pose_order for face in result.faces if face.pose is not None}),
     }
 
 
@@ -187,7 +189,10 @@ def _row(spec: str, result: Evaluation) -> dict[str, object]:
 
 
 def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
-    """A row for each face; ``nmed`` is ``inf`` without a fit, ``nan`` where the truth does not allow to measure."""
+    """A row for each face; ``nmed`` is ``inf`` without a fit, ``nan`` where the truth does not allow to measure.
+
+    Fitted angles are in the order of the labelled ones, and may be others than those of ``jaxfit fit``.
+    """
     for spec, result in results.items():
         for number, face in enumerate(result.faces):
             box = [f"{value:.3f}" for value in result.boxes[number]]
@@ -196,4 +201,5 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
             angles = np.concatenate([result.ordered_pose[number], result.true_pose[number]])
             pose = ["" if isnan(angle) else f"{angle:.3f}" for angle in angles]
             problem = result.problems.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
-            yield [spec, face.face, face.subject, face.image, *box, f"{error:.6f}", error_3d, *pose, problem]
+            numbers = [*box, f"{error:.6f}", error_3d, *pose]
+            yield [spec, face.face, face.subject, face.image, *numbers, face.pose_order, problem]

@@ -172,7 +172,9 @@ def _drawn(canvas: np.ndarray, model: Model, face: _Face, fits: Fits, number: in
     """A picture with a fit drawn over it, in 3D if the model has that."""
     if fits.landmarks_3d is None or fits.pose is None:
         return draw_landmarks(canvas, fits.landmarks[number], model.scheme, box=face.box)
-    return draw_head(canvas, fits.landmarks_3d[number], fits.pose[number], model.scheme, box=face.box)
+    # Of alignments, what is written in 2D: the landmarks that were found, at the aligned shape's depths.
+    solid = np.column_stack([fits.landmarks[number], fits.landmarks_3d[number, :, 2]])
+    return draw_head(canvas, solid, fits.pose[number], model.scheme, box=face.box)
 
 
 def _write_heads(path: Path, model: Model, rows: Sequence[Sequence[object]]) -> None:

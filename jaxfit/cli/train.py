@@ -72,6 +72,8 @@ def run(options: argparse.Namespace) -> int:
         )
     save(trained.model, out)
     report_problems(problems + list(trained.problems))
+    if METHODS[options.method].in_3d or options.lift:
+        print(f"3D shape model: {load_head(options.head).source}")
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     print(f"boxes it knows: {', '.join(trained.model.placements)}")

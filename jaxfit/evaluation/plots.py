@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from jaxfit.exceptions import InputError
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.schemes import Scheme
 from jaxfit.shapes.space import rotate
+from jaxfit.types import Crop, Features, Point, Scalar
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -159,9 +161,7 @@ def plot_descriptor(
         )
     ax = ax if ax is not None else _pyplot().subplots()[1]
     landmark, face_angle = jnp.asarray(centre), jnp.float32(angle)
-    prepared = sift.prepare(jnp.asarray(crop))
-    values = sift.describe(prepared, landmark, jnp.float32(side), face_angle).reshape(CELLS**2, BINS)
-    turn = sift.window_angle(prepared, landmark, jnp.float32(side), face_angle)
+    values, turn = _described(sift, jnp.asarray(crop), landmark, jnp.float32(side), face_angle)
 
     def in_crop(offsets: np.ndarray) -> np.ndarray:
         """Offsets (..., 2) from the landmark along the window's axes, in sides, as crop points."""
@@ -177,7 +177,7 @@ def plot_descriptor(
     tails = in_crop(np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2))
     directions = 2 * math.pi * (np.arange(BINS) + 0.5) / BINS + float(turn)  # the middles of the bins
     longest = float(values.max()) or 1.0  # a flat window has no arrows
-    lengths = np.asarray(values) / longest * side / CELLS / 2
+    lengths = np.asarray(values).reshape(CELLS**2, BINS) / longest * side / CELLS / 2
     ax.quiver(
         *(tails.T[:, :, None] * np.ones(BINS)),
         lengths * np.cos(directions),
@@ -199,6 +199,13 @@ def plot_descriptor(
         ylabel="y [crop pixels]",
     )
     return ax
+
+
+@partial(jax.jit, static_argnames="sift")
+def _described(sift: Sift, crop: Crop, point: Point, side: Scalar, angle: Scalar) -> tuple[Features, Scalar]:
+    """The descriptor, and how far its window is turned."""
+    prepared = sift.prepare(crop)
+    return sift.describe(prepared, point, side, angle), sift.window_angle(prepared, point, side, angle)
 
 
 def plot_pose_surface(

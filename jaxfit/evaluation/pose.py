@@ -50,7 +50,10 @@ def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
         # About axes that turn with the head; y is down, so that looking up turns against the axis.
         turns = Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
         pitch, yaw, roll = turns.as_euler("XYZ", degrees=True).T * [[-1], [1], [1]]
-        poses[rows] = np.stack([roll, pitch, yaw], 1)
+        # Of the two triples that give a rotation, the one of a head that is not upside down: SciPy keeps yaw within 90.
+        over = np.abs(pitch) > 90
+        found = np.stack([roll, pitch, yaw], 1)
+        poses[rows] = np.where(over[:, None], _wrapped(np.stack([roll + 180, pitch + 180, 180 - yaw], 1)), found)
     return poses
 
 

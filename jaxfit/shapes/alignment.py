@@ -44,7 +44,7 @@ def align_head(
     weights: Weights | None = None,
     *,
     noise: float | None = None,
-    most_rounds: int = _MOST_ROUNDS,
+    most_rounds: int | Int[Array, ""] = _MOST_ROUNDS,
 ) -> Alignment:
     """Coefficients and camera of a 3D shape model for 2D landmarks, in turns until the error stops falling (Figure 7).
 

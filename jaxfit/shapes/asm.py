@@ -36,6 +36,10 @@ class ActiveShapeModel:
         """The face of coefficients b: B₀ + Σ bᵢ Bᵢ (Eq. 10)."""
         return self.mean + jnp.tensordot(b, self.modes, 1, precision=_EXACT)
 
+    def scaled(self, factor: float | Float[Array, ""]) -> "ActiveShapeModel":
+        """The same faces in another unit."""
+        return ActiveShapeModel(self.mean * factor, self.modes, self.deviations * factor)
+
     def encode(self, aligned: Float[Array, "landmarks dimensions"]) -> Coefficients:
         """The coefficients nearest to a face that is aligned to the mean."""
         return jnp.tensordot(self.modes, aligned - self.mean, 2, precision=_EXACT)

@@ -124,7 +124,7 @@ def align_shapes(head: Landmarks3D, points: Landmarks, weights: Float[Array, "la
     known = weights > 0
     seen = jnp.where(known[:, None], points, 0.0)
     share = weights / jnp.maximum(weights.sum(), 1e-12)
-    middle_3d, middle_2d = share @ head, share @ seen
+    middle_3d, middle_2d = (jnp.matmul(share, of, precision=_EXACT) for of in (head, seen))
     solid, flat = head - middle_3d, jnp.where(known[:, None], seen - middle_2d, 0.0)
     # Without units, so that what is flat can be told.
     size_3d = jnp.sqrt(jnp.maximum(jnp.sum(share[:, None] * solid**2), 1e-12))

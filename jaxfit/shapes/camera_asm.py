@@ -45,6 +45,11 @@ class CameraASM:
         """Number of parameters, m + 6."""
         return len(self.model.deviations) + _POSE
 
+    @property
+    def closed_under_rotation(self) -> bool:
+        """The camera turns all heads alike."""
+        return True
+
     def landmarks(self, params: Params) -> Landmarks:
         """L₂D = P · s · R_η · R_γ · R_θ · L₃D' + T (Eq. 15)."""
         return self.landmarks_3d(params)[:, :2]
@@ -80,15 +85,16 @@ class CameraASM:
     def encode(self, landmarks: Landmarks, refine: bool = False) -> Params:
         """The parameters of known landmarks, by :func:`align_head`, and :func:`refine_head` if asked for.
 
-        Where b leaves the ellipsoid it is pulled back, and the camera is then the best one for it.
+        Where b leaves the ellipsoid it is pulled back, and the camera is then the best one for it. The angles are NaN
+        where the landmarks, such as points on a line, do not determine them.
         """
         b, camera, _, _ = found = align_head(self.model, landmarks)
         if refine:
             b, camera, _, _ = refine_head(self.model, landmarks, found)
         inside = self.model.restrict(b, self.sigmas)
         again = align_shapes(self.model.reconstruct(inside), landmarks, jnp.ones(len(landmarks)))
-        scale, rotation, place, _ = jax.tree.map(partial(jnp.where, (inside == b).all()), camera, again)
-        return _joined(inside, scale, place, rotation_angles(rotation))
+        scale, rotation, place, ok = jax.tree.map(partial(jnp.where, (inside == b).all()), camera, again)
+        return _joined(inside, scale, place, jnp.where(ok, rotation_angles(rotation), jnp.nan))
 
     def place(self, start: Start) -> Params:
         """The mean face, b = 0, from the front, at a start."""

@@ -28,6 +28,11 @@ class PointSpace:
         """Number of parameters, 2 L."""
         return 2 * self.mean.shape[0]
 
+    @property
+    def closed_under_rotation(self) -> bool:
+        """Points may lie anywhere."""
+        return True
+
     def landmarks(self, params: Params) -> Landmarks:
         """The parameters, as points."""
         return params.reshape(-1, 2)

@@ -1,7 +1,6 @@
 """Aligning point sets by similarity transforms, and many of them to their common mean (generalised Procrustes)."""
 
 from dataclasses import dataclass
-from functools import partial
 
 import jax
 from jax import lax, vmap
@@ -9,7 +8,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxfit.shapes.space import Start
-from jaxfit.types import Landmarks
+from jaxfit.types import Landmarks, Scalar
 
 _EXACT = lax.Precision.HIGHEST
 
@@ -48,9 +47,11 @@ class Procrustes:
     converged: Bool[Array, ""]
 
 
-@partial(jax.jit, static_argnames=("tolerance", "most_rounds"))
+@jax.jit
 def generalised_procrustes(
-    points: Float[Array, "faces landmarks dimensions"], tolerance: float = 1e-6, most_rounds: int = 100
+    points: Float[Array, "faces landmarks dimensions"],
+    tolerance: float | Scalar = 1e-6,
+    most_rounds: int | Int[Array, ""] = 100,
 ) -> Procrustes:
     """Align N point sets, in 2D or 3D, to their common mean by translations, rotations and scales (thesis 3.2.1).
 

@@ -36,6 +36,11 @@ class SimilarityASM:
         """Number of parameters, m + 5."""
         return len(self.model.deviations) + _POSE
 
+    @property
+    def closed_under_rotation(self) -> bool:
+        """Faces are stretched along the picture's axes, which do not turn with them."""
+        return False
+
     def landmarks(self, params: Params) -> Landmarks:
         """L = R · (B₀ + Σ bᵢ Bᵢ) + T (Eq. 10, 11)."""
         b, scales, place, theta = _parts(params)

@@ -37,6 +37,11 @@ class ShapeSpace(Protocol):
         """Number of parameters."""
         ...
 
+    @property
+    def closed_under_rotation(self) -> bool:
+        """Whether :meth:`turned` is exact, every turned face being in the space, too."""
+        ...
+
     def landmarks(self, params: Params) -> Landmarks:
         """Where to look, in crop pixels."""
         ...

@@ -20,6 +20,8 @@ from jaxfit.shapes.space import Start
 
 CROPS, _ = blob_faces(4, seed=0)
 ROTATIONS = np.float32([-0.8, -0.3, 0.0, 0.3, 0.8])
+ASM = shape_model_space(blob_faces(40, seed=3)[1])
+spaces = pytest.mark.parametrize("space", [SPACE, ASM], ids=["points", "asm"])
 
 
 def random_cascade(descriptor=None, strength=0.7, steps=3):
@@ -70,7 +72,7 @@ def test_a_batch_is_a_loop():
 
 
 def test_an_empty_batch():
-    assert fit_crops(CASCADE, CROPS[:0]).shape == (0, 4, 2)
+    assert jax.eval_shape(fit_crops, CASCADE, CROPS[:0]).shape == (0, 4, 2)
 
 
 def test_starts_upright_in_the_middle_unless_told_otherwise():
@@ -119,7 +121,7 @@ def test_fits_on_their_way_out_drown_no_others():
         assert int(centroid(jnp.asarray(candidates))) == expected
 
 
-@pytest.mark.parametrize("space", [SPACE, shape_model_space(blob_faces(40, seed=3)[1])], ids=["points", "asm"])
+@spaces
 def test_turned_starts_have_the_bounding_square_of_the_upright_one(space):
     starts = starts_of(space, FRAME, jnp.asarray([0.0, *ROTATIONS, np.pi / 2]))
     faces = np.asarray(jax.vmap(lambda start: space.landmarks(space.place(start)))(starts))
@@ -131,7 +133,7 @@ def test_turned_starts_have_the_bounding_square_of_the_upright_one(space):
     np.testing.assert_allclose([*starts.centre[0], starts.scale[0]], [23.5, 23.5, 1], rtol=1e-6)
 
 
-@pytest.mark.parametrize("space", [SPACE, shape_model_space(blob_faces(40, seed=3)[1])], ids=["points", "asm"])
+@spaces
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_turned_picture_is_no_harder_for_windows_that_turn(space, quarters):
     # Quarter turns map pixels onto pixels: the fits are the same, turned.
@@ -304,8 +306,24 @@ def test_a_head_is_aligned_to_the_landmarks_of_a_2d_cascade():
     np.testing.assert_allclose(heads.b, np.tile(b, (2, 1)), atol=0.6)
 
 
+def test_a_head_goes_in_and_out_as_parameters_and_has_derivatives():
+    cascade = solid_cascade()
+    upright = HEAD.place(Start(jnp.full(2, FRAME.middle), jnp.ones(()), jnp.zeros(())))
+    heads = fit_heads(cascade, CROPS[:1])
+    params = jax.jit(fit_face)(cascade, CROPS[0], upright)
+    np.testing.assert_allclose(HEAD.pose(params), heads.pose[0], atol=1e-2)
+    np.testing.assert_allclose(HEAD.b(params), heads.b[0], atol=1e-2)
+    np.testing.assert_allclose(HEAD.landmarks_3d(params), heads.landmarks_3d[0], atol=1e-2)
+    slope = jax.jit(
+        jax.grad(lambda start: (HEAD.pose(fit_face(cascade, jnp.asarray(CROPS[0]), start)) ** 2).sum()),
+        compiler_options={"xla_backend_optimization_level": 0},
+    )(upright)
+    assert np.isfinite(slope).all()
+    assert np.any(slope != 0)
+
+
 def test_heads_of_an_empty_batch():
-    heads = fit_heads(solid_cascade(), CROPS[:0])
+    heads = jax.eval_shape(fit_heads, solid_cascade(), CROPS[:0])
     assert [part.shape for part in heads] == [(0, 8, 2), (0, 8, 3), (0, 3), (0,), (0, 2)]
 
 

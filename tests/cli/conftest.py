@@ -2,25 +2,16 @@
 
 from pathlib import Path
 
-import numpy as np
 import pytest
-from drawing import TRAIN, draw_face
+from drawing import TRAIN, draw_faces
 
 from jaxfit.cli.main import main
-from jaxfit.data.images import write_image
-from jaxfit.data.pts import write_pts
 
 
 @pytest.fixture(scope="session")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of 24 drawn faces with ``.pts`` labels."""
-    folder = tmp_path_factory.mktemp("drawn")
-    rng = np.random.default_rng(0)
-    for number in range(24):
-        picture, points = draw_face(rng)
-        write_image(folder / f"face{number:03}.png", picture)
-        write_pts(folder / f"face{number:03}.pts", points)
-    return folder
+    return draw_faces(tmp_path_factory.mktemp("drawn"), 24)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,11 @@
 """Drawn faces: pictures with five blobs where the landmarks are, and how to train on them in seconds."""
 
+from pathlib import Path
+
 import numpy as np
+
+from jaxfit.data.images import write_image
+from jaxfit.data.pts import write_pts
 
 TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]
 POINTS = np.array([[-20.0, -15.0], [20.0, -15.0], [0.0, 5.0], [-14.0, 22.0], [14.0, 22.0]])
@@ -15,3 +20,14 @@ def draw_face(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         picture += (150 - 20 * i) * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * (2.5 + i) ** 2))
     picture += rng.normal(0, 2, picture.shape)
     return np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[..., None], 3, 2), points
+
+
+def draw_faces(folder: Path, count: int) -> Path:
+    """The folder, with drawn faces and their ``.pts`` labels written into it."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(0)
+    for number in range(count):
+        picture, points = draw_face(rng)
+        write_image(folder / f"face{number:03}.png", picture)
+        write_pts(folder / f"face{number:03}.pts", points)
+    return folder

@@ -275,8 +275,21 @@ def test_evaluate_reports_poses_and_errors_in_3d(formats, heads, head_file: Path
     assert main(["evaluate", str(head_file), "--data", "drawn:x", "posed:x", "--out", str(out)]) == 0
     reports = strictly((out / "report.json").read_text())["datasets"]
     rows = rows_of(out / "faces.csv")
-    assert tuple(rows[0]) == ("dataset", "face", "subject", "image", *BOX, "nmed", "nmed_3d", *POSED, "problem")
+    assert tuple(rows[0]) == (
+        "dataset",
+        "face",
+        "subject",
+        "image",
+        *BOX,
+        "nmed",
+        "nmed_3d",
+        *POSED,
+        "pose_order",
+        "problem",
+    )
+    assert {row["pose_order"] for row in rows} == {"roll-pitch-yaw"}
     for spec, report in reports.items():
+        assert report["pose_order"] == ["roll-pitch-yaw"]
         faces = [row for row in rows if row["dataset"] == spec]
         fitted, truth = ([[float(row[name]) for name in names] for row in faces] for names in (POSED[:3], POSED[3:]))
         np.testing.assert_allclose(truth, [face.pose for face in heads[:5]], atol=1e-3)

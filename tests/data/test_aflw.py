@@ -158,9 +158,9 @@ def test_reading_leaves_no_trace(aflw):
     folder.chmod(0o755)
 
 
-def test_pose_signs_agree_with_the_landmarks(shared_data):
+def test_pose_signs_agree_with_the_landmarks(real_dataset):
     """The eye line gives the roll; along and across it the nose gives the yaw, nose and ears the pitch."""
-    faces = read_aflw(shared_data / "aflw").faces
+    faces = real_dataset("aflw:aflw").faces
     landmarks = np.array([face.landmarks for face in faces])
     roll, pitch, yaw = np.array([face.pose for face in faces]).T
     left, right, nose, mouth = (landmarks[:, index] for index in (7, 10, 14, 18))

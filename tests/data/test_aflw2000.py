@@ -114,8 +114,8 @@ def test_folders_without_faces(tmp_path):
         read_aflw2000(tmp_path / "file")
 
 
-def test_the_real_dataset(shared_data):
-    usual, everything = (read_dataset(f"{name}:{shared_data / 'aflw2000'}") for name in ("aflw2000", "aflw2000-all"))
+def test_the_real_dataset(real_dataset):
+    usual, everything = (real_dataset(f"{name}:aflw2000") for name in ("aflw2000", "aflw2000-all"))
     assert len(everything.faces) == 628 == len({face.face for face in everything.faces})
     assert everything.problems == ()
     assert usual.problems == ("10 of 628 faces left out: an angle over 99 degrees (aflw2000-all keeps them)",)
@@ -123,9 +123,9 @@ def test_the_real_dataset(shared_data):
     assert all(face.image.is_file() and face.complete for face in everything.faces)
 
 
-def test_pose_signs_agree_with_the_landmarks(shared_data):
+def test_pose_signs_agree_with_the_landmarks(real_dataset):
     """The eye line gives the roll, the nose before the ears the yaw, the nose and the ears below the eyes the pitch."""
-    faces = read_aflw2000(shared_data / "aflw2000").faces
+    faces = real_dataset("aflw2000:aflw2000").faces
     landmarks = np.array([face.landmarks for face in faces])
     roll, pitch, yaw = np.array([face.pose for face in faces]).T
     left, right, mouth = (landmarks[:, part].mean(1) for part in (slice(36, 42), slice(42, 48), slice(48, 60)))
@@ -147,9 +147,9 @@ def test_pose_signs_agree_with_the_landmarks(shared_data):
     assert correlation(pitch, across(ears), 15) > 0.75
 
 
-def test_pose_order_agrees_with_the_rotations_of_the_points(shared_data):
+def test_pose_order_agrees_with_the_rotations_of_the_points(real_dataset):
     """The angles are those of the rotation that takes an upright head to the face's 3D points, in the order told."""
-    faces = read_aflw2000(shared_data / "aflw2000").faces
+    faces = real_dataset("aflw2000:aflw2000").faces
     solid = [loadmat(face.image.with_suffix(".mat"))["pt3d_68"].T * [1, 1, -1] for face in faces]  # z was to the viewer
     solid = np.array([(points - points.mean(0)) / points.std() for points in solid])
     roll, pitch, yaw = pose = np.array([face.pose for face in faces]).T

@@ -45,9 +45,8 @@ def test_paths_may_have_colons_and_the_name_is_kept(tmp_path):
         ("lfpw:lfpw29/kbvt_lfpw_v1.csv", "lfpw29", 121, 121, 121),
     ],
 )
-def test_the_real_datasets(shared_data, spec, scheme, faces, subjects, complete):
-    name, path = spec.split(":")
-    dataset = read_dataset(f"{name}:{shared_data / path}")
+def test_the_real_datasets(real_dataset, spec, scheme, faces, subjects, complete):
+    dataset = real_dataset(spec)
     assert dataset.scheme.name == scheme
     assert dataset.problems == ()
     assert len(dataset.faces) == faces == len({face.face for face in dataset.faces})

@@ -4,11 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxfit.data.aflw import read_aflw
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detection import Detection, best_match, detect_faces
 from jaxfit.data.images import read_image, to_grey
-from jaxfit.data.pts import read_pts_folder
 
 TRUTH = np.array([100.0, 100.0, 50.0, 50.0])
 
@@ -45,9 +43,9 @@ def test_empty_pictures_have_no_faces(shape):
 
 
 @pytest.fixture(scope="module")
-def portraits(shared_data):
+def portraits(real_dataset):
     """Grey pictures and the bounding squares of their faces."""
-    faces = read_pts_folder(shared_data / "lfpw68").faces[::27]
+    faces = real_dataset("pts:lfpw68").faces[::27]
     return [(to_grey(read_image(face.image, exif=False)), bounding_square(face.landmarks)) for face in faces]
 
 
@@ -72,8 +70,8 @@ def test_boxes_grow_and_move_with_the_picture(portraits):
         np.testing.assert_allclose(box_centre(placed.box) - [50, 30], box_centre(plain.box), atol=tolerance)
 
 
-def test_profiles_are_found_on_both_sides(shared_data):
-    faces = [face for face in read_aflw(shared_data / "aflw").faces if 60 < abs(face.pose[2]) < 90][:60:2]
+def test_profiles_are_found_on_both_sides(real_dataset):
+    faces = [face for face in real_dataset("aflw:aflw").faces if 60 < abs(face.pose[2]) < 90][:60:2]
     found = {"left": 0, "right": 0}
     for face in faces:
         grey = to_grey(read_image(face.image, exif=False))

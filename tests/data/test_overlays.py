@@ -1,6 +1,7 @@
 """Drawings change what they should and nothing else."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -95,10 +96,14 @@ def black(size=400):
     return np.zeros((size, size, 3), np.uint8)
 
 
+@cache
 def large(pose):
     """A head whose thinnest lines still have pixels of their exact colour, and its picture, whose centre is its own."""
-    points, pose = head(pose, 700, (900, 900)), np.array(pose, float)
-    return points, draw_head(black(1800), points, pose, DOTS)
+    points = head(pose, 700, (900, 900))
+    drawn = draw_head(black(1800), points, np.array(pose, float), DOTS)
+    for array in (points, drawn):
+        array.flags.writeable = False
+    return points, drawn
 
 
 def test_heads_are_drawn_on_a_copy_and_grey_becomes_rgb():

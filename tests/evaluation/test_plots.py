@@ -2,7 +2,9 @@
 
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 
+import jax
 import numpy as np
 import pytest
 from jax import numpy as jnp
@@ -127,10 +129,20 @@ def crop() -> np.ndarray:
     return np.interp(noise, (noise.min(), noise.max()), (0, 255)).astype(np.uint8)
 
 
+@jax.jit
+def principal_angle(crop: jax.Array) -> jax.Array:
+    smoothed = Sift().prepare(crop).smoothed
+    return principal_orientation(upright_window(smoothed, jnp.float32(POINT), jnp.float32(SIDE / 32)))
+
+
+@partial(jax.jit, static_argnums=0)
+def described(sift: Sift, crop: jax.Array) -> jax.Array:
+    return sift.describe(sift.prepare(crop), jnp.float32(POINT), jnp.float32(SIDE), jnp.float32(ANGLE))
+
+
 def window_angle(orientation: str, crop: np.ndarray) -> float:
     if orientation == "principal":
-        smoothed = Sift().prepare(jnp.asarray(crop)).smoothed
-        return float(principal_orientation(upright_window(smoothed, jnp.float32(POINT), jnp.float32(SIDE / 32))))
+        return float(principal_angle(crop))
     return {"upright": 0.0, "face": ANGLE}[orientation]
 
 
@@ -156,8 +168,7 @@ def test_descriptor(pyplot, crop: np.ndarray, orientation: str, normalisation: s
     middles = quarters[:-1] + SIDE / 8
     cells = np.repeat([x + 1j * y for y in middles for x in middles], 8)
     np.testing.assert_allclose(tails, centre + turned * cells, atol=1e-3)
-    prepared = sift.prepare(jnp.asarray(crop))
-    values = np.asarray(sift.describe(prepared, jnp.float32(POINT), jnp.float32(SIDE), jnp.float32(ANGLE)))
+    values = np.asarray(described(sift, crop))
     bins = np.exp(1j * np.radians(22.5 + 45 * np.arange(8)))
     expected = values / values.max() * SIDE / 8 * np.tile(bins, 16) * turned
     np.testing.assert_allclose(arrows.U + 1j * arrows.V, expected, atol=1e-3)

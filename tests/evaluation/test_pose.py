@@ -81,6 +81,14 @@ def test_small_and_single_angles_are_alike_in_all_orders() -> None:
     np.testing.assert_allclose(in_order(small, ["roll-yaw-pitch"] * 20), small, atol=0.2)
 
 
+def test_heads_turned_beyond_the_profile_are_not_upside_down() -> None:
+    beyond = np.array([(0.0, 0.0, 95.0), (0.0, 0.0, -120.0)])
+    found = in_order(beyond, ["roll-yaw-pitch"] * 2)
+    np.testing.assert_allclose(found, beyond, atol=1e-6)
+    # Yaw alone is wrong, by as much as it is.
+    np.testing.assert_allclose(pose_errors(found[:1], np.array([(0.0, 0.0, 83.0)])), [(0, 0, 12)], atol=1e-6)
+
+
 def test_each_face_has_its_order() -> None:
     poses = np.array([(10.0, 20.0, 30.0), LOST, (10.0, 20.0, 30.0), (1.0, UNKNOWN, 3.0), (400.0, 20.0, 30.0)])
     before = poses.copy()

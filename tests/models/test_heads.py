@@ -179,7 +179,7 @@ def test_learning_takes_position_size_and_turn_away():
 def test_heads_already_aligned_stay_as_they_are():
     rng = np.random.default_rng(3)
     mean = rng.normal(0, 5, (7, 3))
-    heads = mean - mean.mean(0) + rng.normal(0, 1e-3, (50, 7, 3))
+    heads = mean - mean.mean(0) + rng.normal(0, 1e-3, (300, 7, 3))
     np.testing.assert_allclose(learn_head(heads, SETS, 0.9, "").shape.mean, mean - mean.mean(0), atol=2e-3)
 
 
@@ -202,7 +202,7 @@ def test_lfpw27_comes_with_lfpw29():
         (np.ones((4, 7, 3)), {"points3": (0, 1, 7)}, "expected 3 indices below 7"),
         (np.ones((4, 7, 3)), {}, "at least one set"),
         (np.ones((4, 7, 3)), {"face": (0,)}, "unknown landmark scheme"),
-        (np.random.default_rng(0).normal(size=(1, 7, 3)).repeat(4, 0), SETS, "same shape"),
+        (np.random.default_rng(0).normal(size=(1, 7, 3)).repeat(300, 0), SETS, "same shape"),
     ],
 )
 def test_heads_to_learn_nothing_from(heads, sets, said):

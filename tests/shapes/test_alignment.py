@@ -35,12 +35,20 @@ COUNT = 30
 NOISE = 0.05  # of landmarks, in the unit of the model, centimetres
 
 
-@partial(jax.jit, static_argnames=("noise", "most_rounds"))
-def align(model, points, weights, noise=None, most_rounds=30):
+@partial(jax.jit, static_argnums=3)
+def align_faces(model, points, weights, noise, most_rounds):
     return jax.vmap(partial(align_head, model, noise=noise, most_rounds=most_rounds))(points, weights)
 
 
-refine = jax.jit(jax.vmap(partial(refine_head, noise=NOISE), (None, 0, 0, 0)))
+def align(model, points, weights, noise=None, most_rounds=30):
+    return align_faces(model, points, weights, noise, most_rounds)
+
+
+# Compiled without optimisation, which would take longer than all else here.
+refine = jax.jit(
+    jax.vmap(partial(refine_head, noise=NOISE), (None, 0, 0, 0)),
+    compiler_options={"xla_backend_optimization_level": 0},
+)
 
 
 def faces(model, seed=1):

@@ -1,5 +1,7 @@
 """The shape model against NumPy's PCA, and the laws of its ellipsoid; in two and three dimensions."""
 
+from functools import cache
+
 import jax
 import numpy as np
 import pytest
@@ -18,6 +20,16 @@ def faces(dimensions, count=60, points=6):
     return flat.reshape(count, points, dimensions).astype(np.float32)
 
 
+@cache
+def learned(dimensions, share):
+    return learn_shape_model(jnp.asarray(faces(dimensions)), share)
+
+
+# Compiled once for each size of model.
+encode = jax.jit(lambda model, face: model.encode(face))
+reconstruct = jax.jit(lambda model, b: model.reconstruct(b))
+
+
 def numpy_pca(given):
     flat = given.reshape(len(given), -1).astype(np.float64)
     variances, axes = np.linalg.eigh(np.cov(flat.T, bias=True))
@@ -27,7 +39,7 @@ def numpy_pca(given):
 @DIMENSIONS
 def test_is_numpys_pca(dimensions):
     given = faces(dimensions)
-    model = learn_shape_model(jnp.asarray(given), 1.0)
+    model = learned(dimensions, 1.0)
     variances, axes = numpy_pca(given)
     np.testing.assert_allclose(model.mean, given.mean(0), atol=1e-4)
     np.testing.assert_allclose(model.deviations, np.sqrt(variances), rtol=1e-3)
@@ -38,7 +50,7 @@ def test_is_numpys_pca(dimensions):
 @DIMENSIONS
 @pytest.mark.parametrize("share", [0.3, 0.8, 0.95, 0.999])
 def test_keeps_the_fewest_modes_that_hold_the_share(dimensions, share):
-    model = learn_shape_model(jnp.asarray(faces(dimensions)), share)
+    model = learned(dimensions, share)
     variances, _ = numpy_pca(faces(dimensions))
     held = np.cumsum(variances) / variances.sum()
     kept = len(model.deviations)
@@ -49,23 +61,22 @@ def test_keeps_the_fewest_modes_that_hold_the_share(dimensions, share):
 
 @DIMENSIONS
 def test_with_all_modes_every_face_is_encoded_exactly(dimensions):
-    given = jnp.asarray(faces(dimensions))
-    model = learn_shape_model(given, 1.0)
-    np.testing.assert_allclose(jax.vmap(lambda face: model.reconstruct(model.encode(face)))(given), given, atol=1e-3)
+    given, model = faces(dimensions), learned(dimensions, 1.0)
+    found = [reconstruct(model, encode(model, face)) for face in given]
+    np.testing.assert_allclose(found, given, atol=1e-3)
 
 
 @DIMENSIONS
 def test_encoding_undoes_reconstruction_and_is_the_nearest(dimensions):
-    given = jnp.asarray(faces(dimensions))
-    model = learn_shape_model(given, 0.8)
-    b = model.deviations * jnp.linspace(-2, 2, len(model.deviations))
-    np.testing.assert_allclose(model.encode(model.reconstruct(b)), b, atol=1e-3)
-    left = np.asarray(given[0] - model.reconstruct(model.encode(given[0])))
+    given, model = faces(dimensions), learned(dimensions, 0.8)
+    b = model.deviations * np.linspace(-2, 2, len(model.deviations), dtype=np.float32)
+    np.testing.assert_allclose(encode(model, reconstruct(model, b)), b, atol=1e-3)
+    left = given[0] - np.asarray(reconstruct(model, encode(model, given[0])))
     np.testing.assert_allclose(np.tensordot(model.modes, left, 2), 0, atol=1e-3)
 
 
 def test_the_ellipsoid():
-    model = learn_shape_model(jnp.asarray(faces(2)), 0.9)
+    model = learned(2, 0.9)
     rng = np.random.default_rng(0)
     for radius in (0.0, 1.0, 2.999, 3.001, 50.0):
         direction = rng.normal(size=len(model.deviations))
@@ -79,7 +90,7 @@ def test_the_ellipsoid():
 
 
 def test_pulling_back_has_finite_derivatives_everywhere():
-    model = learn_shape_model(jnp.asarray(faces(2)), 0.9)
+    model = learned(2, 0.9)
     slope = jax.jit(jax.jacobian(model.restrict))
     for radius in (0.0, 1.0, 3.0, 1e4):
         b = jnp.zeros(len(model.deviations)).at[0].set(radius * model.deviations[0])

@@ -15,7 +15,7 @@ from jaxfit.shapes.schemes import AFLW21
 from jaxfit.shapes.space import Start, rotate
 
 NOSE, LEFT_EYE, RIGHT_EYE = 14, *AFLW21.outer_eyes
-COUNT = 20
+COUNT = 20  # faces, everywhere: one number of them compiles once
 
 
 SPACE = CameraASM(load_head().of(AFLW21, 0.9), jnp.float32(3.0))
@@ -27,6 +27,8 @@ rotation = jax.jit(jax.vmap(SPACE.rotation))
 turn = jax.jit(jax.vmap(SPACE.turned, (0, None)))
 encode = jax.jit(jax.vmap(SPACE.encode))
 pose = jax.jit(jax.vmap(SPACE.pose))
+difference = jax.jit(jax.vmap(SPACE.difference))
+advance = jax.jit(jax.vmap(SPACE.advance))
 
 
 def faces(most_pitch=75, most_yaw=75, seed=0):
@@ -40,9 +42,9 @@ def faces(most_pitch=75, most_yaw=75, seed=0):
 
 
 def head(roll=0.0, pitch=0.0, yaw=0.0):
-    """The parameters (1, P) of the mean head in a reported pose, in degrees."""
+    """The parameters (N, P) of N times the mean head in a reported pose, in degrees."""
     angles = np.radians([-roll, pitch, yaw])
-    return np.concatenate([np.zeros(MODES), [5, 80, 60], angles]).astype(np.float32)[None]
+    return np.tile(np.concatenate([np.zeros(MODES), [5, 80, 60], angles]).astype(np.float32), (COUNT, 1))
 
 
 def test_landmarks_are_shape_camera_and_place():
@@ -81,7 +83,10 @@ def test_refined_parameters_fit_better():
     seen = np.asarray(landmarks(params))
     errors = 0.1 * params[:, MODES, None, None] * np.random.default_rng(1).normal(size=seen.shape)
     points = (seen + errors).astype(np.float32)
-    plain, refined = encode(points), jax.jit(jax.vmap(partial(SPACE.encode, refine=True)))(points)
+    # Compiled without optimisation, which would take longer than all else here.
+    fast = {"xla_backend_optimization_level": 0}
+    refine = jax.jit(jax.vmap(partial(SPACE.encode, refine=True)), compiler_options=fast)
+    plain, refined = encode(points), refine(points)
     squares, priors = [], []
     for found in (plain, refined):
         squares.append(((landmarks(found) - points) ** 2).sum((1, 2)))
@@ -95,14 +100,20 @@ def test_refined_parameters_fit_better():
 def test_coefficients_outside_the_ellipsoid_are_pulled_back_and_the_camera_is_the_best_for_them():
     b = 3 * SPACE.sigmas * SPACE.model.deviations / jnp.sqrt(float(MODES))
     points = 5 * SPACE.model.reconstruct(b)[:, :2] + 20
-    params = encode(points[None])[0]
-    inside = params[:MODES]
+    params = encode(jnp.tile(points, (COUNT, 1, 1)))
+    inside = params[0, :MODES]
     assert jnp.linalg.norm(inside / SPACE.model.deviations) <= SPACE.sigmas * 1.001
-    best = align_shapes(SPACE.model.reconstruct(inside), points, jnp.ones(len(points)))
-    np.testing.assert_allclose(params[MODES], best.scale, rtol=1e-4)
-    np.testing.assert_allclose(
-        landmarks(params[None])[0], show(SPACE.model.reconstruct(inside), best)[:, :2], atol=1e-2
-    )
+    best = jax.jit(align_shapes)(SPACE.model.reconstruct(inside), points, jnp.ones(len(points)))
+    np.testing.assert_allclose(params[0, MODES], best.scale, rtol=1e-4)
+    np.testing.assert_allclose(landmarks(params)[0], show(SPACE.model.reconstruct(inside), best)[:, :2], atol=1e-2)
+
+
+def test_landmarks_on_a_line_tell_no_angles():
+    params = faces()
+    on_a_line = np.asarray(landmarks(params)) * [1.0, 0.0] + 40
+    found = np.asarray(encode(on_a_line.astype(np.float32)))
+    assert np.isnan(found[:, -3:]).all()
+    assert np.isfinite(found[:, :-3]).all()
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6, -2.5])
@@ -120,7 +131,8 @@ def test_turning_the_head_turns_the_picture(angle):
 
 
 def test_upright_heads_are_not_turned():
-    params = np.concatenate([head(pitch=pitch) for pitch in (-60, 0, 45)] + [head(yaw=yaw) for yaw in (-80, 0, 60)])
+    poses = [{"pitch": pitch} for pitch in (-60, 0, 45)] + [{"yaw": yaw} for yaw in (-80, 0, 60)]
+    params = np.resize([head(**pose)[0] for pose in poses], (COUNT, SPACE.size))
     np.testing.assert_allclose(rotation(params), 0, atol=1e-5)
     np.testing.assert_allclose(rotation(head(roll=25)), np.radians(25), atol=1e-5)
 
@@ -146,19 +158,17 @@ def test_poses_are_those_of_the_rotation_also_beyond_half_turns():
     params = faces()
     params[:, -3] += 2 * np.pi * np.arange(COUNT).astype(np.float32)
     np.testing.assert_allclose(landmarks(turn(params, jnp.float32(0.0))), landmarks(params))
-    step = jax.vmap(SPACE.difference)(params, faces())
+    step = difference(params, faces())
     np.testing.assert_allclose(step, 0, atol=2e-4)
 
 
 def test_advancing_by_the_difference_reaches_the_target():
     here, there = faces(seed=1), faces(seed=2)
-    found = np.asarray(jax.jit(jax.vmap(SPACE.advance))(here, jax.jit(jax.vmap(SPACE.difference))(there, here)))
-    np.testing.assert_allclose(found, there, atol=2e-4)
+    np.testing.assert_allclose(advance(here, difference(there, here)), there, atol=2e-4)
 
 
 def test_differences_are_the_shorter_way_round_and_free_of_scale():
-    difference = jax.jit(jax.vmap(SPACE.difference))
-    (step,) = np.asarray(difference(head(roll=170), head(roll=-170)))
+    step = np.asarray(difference(head(roll=170), head(roll=-170)))[0]
     assert np.degrees(step[-3]) == pytest.approx(20, abs=1e-3)  # θ is counter-clockwise
     here, there = faces(seed=1), faces(seed=2)
     grown = [params.copy() for params in (there, here)]
@@ -168,7 +178,7 @@ def test_differences_are_the_shorter_way_round_and_free_of_scale():
 
 
 def test_steps_too_far_are_pulled_back_into_the_ellipsoid():
-    advanced = np.asarray(SPACE.advance(jnp.asarray(head()[0]), jnp.full(SPACE.size, 50.0)))
+    advanced = np.asarray(advance(head(), np.full((COUNT, SPACE.size), 50, np.float32)))[0]
     assert np.linalg.norm(advanced[:MODES] / np.asarray(SPACE.model.deviations)) == pytest.approx(3, abs=1e-4)
     assert np.abs(advanced[-3:]).max() <= np.pi + 1e-6
 

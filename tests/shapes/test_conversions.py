@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from jaxfit.data.datasets import convert_dataset, read_dataset
+from jaxfit.data.datasets import convert_dataset
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.conversions import CONVERSIONS, convert, sources
 from jaxfit.shapes.procrustes import generalised_procrustes
@@ -104,11 +104,10 @@ def test_landmarks_of_another_scheme_are_refused():
 @pytest.mark.parametrize(
     ("target", "labelled"), [(AFLW21, "aflw:aflw"), (LFPW27, "lfpw:lfpw29/kbvt_lfpw_v1.csv")], ids=["aflw21", "lfpw27"]
 )
-def test_real_68_point_faces_become_faces_like_those_labelled_so(shared_data, target, labelled):
-    name, path = labelled.split(":")
+def test_real_68_point_faces_become_faces_like_those_labelled_so(real_dataset, target, labelled):
     means = []
-    for spec in (f"{name}:{shared_data / path}", f"pts:{shared_data / 'lfpw68'}"):
-        dataset = convert_dataset(read_dataset(spec), target)
+    for spec in (labelled, "pts:lfpw68"):
+        dataset = convert_dataset(real_dataset(spec), target)
         faces = np.stack([face.landmarks for face in dataset.faces if face.complete])
         means.append(np.asarray(generalised_procrustes(jnp.asarray(faces, jnp.float32)).mean))
     truth, converted = means

@@ -1,10 +1,10 @@
-"""3D ground truth from labels: known heads give back their depths, and nothing else is changed."""
+"""Heads aligned to labels: known ones give back their depths and poses, and nothing else is changed."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxfit.evaluation.depth import with_depth
+from jaxfit.aligning import align_labels, with_depth
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import AFLW21
 
@@ -69,3 +69,15 @@ def test_labels_that_determine_no_alignment_have_no_depth(heads):
 
 def test_no_faces_have_no_depths():
     assert with_depth(np.zeros((0, 21, 2)), MODEL).shape == (0, 21, 3)
+
+
+def test_batches_are_not_seen(heads):
+    many = np.tile(heads[..., :2], (11, 1, 1))  # two full batches and a bit
+    few, all_of_them = (align_labels(MODEL, labels) for labels in (heads[..., :2], many))
+    assert all_of_them.ok.all()
+    for field in ("landmarks", "pose", "b", "error", "ok"):
+        values = getattr(few, field)
+        expected = np.tile(values, (11,) + (1,) * (values.ndim - 1))
+        np.testing.assert_allclose(getattr(all_of_them, field), expected, atol=1e-3, err_msg=field)
+    assert (few.error < 0.01).all()
+    assert align_labels(MODEL, np.zeros((0, 21, 2))).pose.shape == (0, 3)
