@@ -9,7 +9,7 @@ import argparse
 import sys
 import zlib
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,7 +35,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.shapes.alignment import Alignment, align_head
 from jaxfit.shapes.asm import ActiveShapeModel
-from jaxfit.shapes.camera import pose_degrees, rotation_angles, rotation_matrix, show
+from jaxfit.shapes.camera import pose_degrees, pose_rotation, rotation_angles, show
 from jaxfit.shapes.schemes import IBUG68
 
 FRAME = Frame(crop=288, face=120.0)
@@ -47,9 +47,9 @@ SKIN = 11248
 NECK = 4.0  # centimetres below the chin that belong to the head; what lies deeper stays with the background
 PEOPLE, EXPRESSIONS = 80, 5  # that the dense head is learned from
 
-LEAST_YAW, MOST_YAW, MOST_PITCH = 30.0, 90.0, 55.0  # degrees, of the rendered heads
-FRONTAL = 10.0  # degrees of yaw below which a face may be turned to either side
-NEAR = 8.0  # degrees, of the change of pitch where it shall stay
+LEAST_YAW, MOST_YAW, LEAST_PITCH, MOST_PITCH = 30.0, 90.0, 15.0, 55.0  # degrees, of the rendered heads
+FRONTAL = 10.0  # degrees of yaw, or pitch, below which a face may be turned to either side
+NEAR = 8.0  # degrees, of the change of pitch, or yaw, where it shall stay
 ROLL = 10.0  # degrees, of the change of roll
 
 HAIR, STILL = 0.08, 0.45  # distances from the head up to which all turns with it and from which nothing moves, in faces
@@ -111,6 +111,12 @@ def main() -> int:
     parser.add_argument("--head", default=DEFAULT_HEAD, help="3D shape model made of it; the bundled one by default")
     parser.add_argument("--most", type=int, metavar="N", help="faces of each dataset, spread evenly over it")
     parser.add_argument("--per-subject", type=int, metavar="N", help="faces of each subject, spread evenly")
+    parser.add_argument(
+        "--turn",
+        choices=TARGETS,
+        default="sideways",
+        help="far to the side, half of them up or down as well; or tilt only",
+    )
     parser.add_argument("--seed", type=seed, default=0, help="of the poses")
     parser.add_argument("--out", required=True, metavar="DIR", help="where pictures and .pts files go")
     arguments = parser.parse_args()
@@ -133,12 +139,16 @@ def run(arguments: argparse.Namespace) -> int:
     model = load_head(arguments.head).of(IBUG68, VARIANCE)
     dense = learn_dense_head(read_facekit(arguments.facekit), model)
     out = out_folder(arguments.out)
-    require_same_settings(out / "settings.json", {"seed": arguments.seed, "head": arguments.head})
+    require_same_settings(
+        out / "settings.json", {"seed": arguments.seed, "head": arguments.head, "turn": arguments.turn}
+    )
     with Bars() as bars:
         for done, (name, face) in enumerate(faces.items(), 1):
             if not (out / f"{name}.pts").exists():
                 try:
-                    picture, landmarks = render_face(face, model, dense, generator(arguments.seed, name))
+                    picture, landmarks = render_face(
+                        face, model, dense, TARGETS[arguments.turn], generator(arguments.seed, name)
+                    )
                     write_image(out / f"{name}.jpg", picture)
                     # Last, so that labels always have their picture.
                     write_pts(out / f"{name}.pts", landmarks)
@@ -208,9 +218,9 @@ def _moved_to(points: np.ndarray, target: np.ndarray, all_points: np.ndarray) ->
 
 
 def render_face(
-    face: FaceRecord, model: ActiveShapeModel, dense: DenseHead, rng: np.random.Generator
+    face: FaceRecord, model: ActiveShapeModel, dense: DenseHead, target: "Target", rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A picture, uint8 (H, W), of a face turned to a random pose, and its landmarks (L, 2).
+    """A picture, uint8 (H, W), of a face turned to a random pose, drawn by ``target``, and its landmarks (L, 2).
 
     Raises:
         ImageError: the picture cannot be read.
@@ -220,8 +230,7 @@ def render_face(
     square = bounding_square(face.landmarks)
     crop = cut_face(grey, box_centre(square), square[2], FRAME)
     view = seen(model, dense, to_crop(face.landmarks, crop.scale, crop.offset))
-    roll, pitch, yaw = target_pose(view.pose, rng)
-    rotation = np.asarray(rotation_matrix(*jnp.deg2rad(jnp.array([-roll, pitch, yaw]))), np.float64)
+    rotation = np.asarray(pose_rotation(jnp.asarray(target(view.pose, rng), jnp.float32)), np.float64)
     turn = rotation @ view.rotation.T
     landmarks = (view.landmarks - view.centre) @ turn.T + view.centre
     return render(crop.pixels, view, dense.quads, turn), landmarks[:, :2]
@@ -251,7 +260,7 @@ def seen(model: ActiveShapeModel, dense: DenseHead, points: np.ndarray) -> View:
 _align = jax.jit(align_head)
 
 
-def target_pose(own: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def sideways(own: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Roll, pitch and yaw (3,) to turn a head to, in degrees: further to the side that it looks to.
 
     To the other side there is nothing in the picture of what would be seen. Half of the heads look up or down, too.
@@ -270,6 +279,24 @@ def target_pose(own: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         if np.hypot(new_yaw / MOST_YAW, new_pitch / MOST_PITCH) > 1:
             new_pitch = rng.uniform(-MOST_PITCH, MOST_PITCH)  # both at once are rare
     return np.array([roll + rng.uniform(-ROLL, ROLL), new_pitch, new_yaw])
+
+
+def tilted(own: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Roll, pitch and yaw (3,) to turn a head to, in degrees: up or down, further if it looks there already.
+
+    Raises:
+        InputError: the head looks far up, down or to the side already.
+    """
+    roll, pitch, yaw = own
+    if abs(yaw) > MOST_PITCH or abs(pitch) > MOST_PITCH - NEAR:
+        raise InputError(f"left out: its pitch and yaw are {pitch:.0f} and {yaw:.0f} degrees already")
+    way = np.sign(pitch) if abs(pitch) > FRONTAL else rng.choice([-1.0, 1.0])
+    new_pitch = way * rng.uniform(max(LEAST_PITCH, abs(pitch)), MOST_PITCH)
+    return np.array([roll + rng.uniform(-ROLL, ROLL), new_pitch, yaw + rng.uniform(-NEAR, NEAR)])
+
+
+Target = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+TARGETS: dict[str, Target] = {"sideways": sideways, "tilt": tilted}
 
 
 def render(pixels: np.ndarray, view: View, quads: np.ndarray, turn: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def render(faces, dense_head, monkeypatch):
 def test_heads_turn_further_to_the_side_they_look_to():
     rng = np.random.default_rng(0)
     for own in ((3.0, -5.0, 25.0), (0.0, 10.0, -70.0)):
-        poses = np.array([SCRIPT["target_pose"](np.array(own), rng) for _ in range(400)])
+        poses = np.array([SCRIPT["sideways"](np.array(own), rng) for _ in range(400)])
         assert (np.abs(poses[:, 0] - own[0]) <= 10).all()
         assert (np.abs(poses[:, 1]) <= 55).all()
         assert 100 < (np.abs(poses[:, 1] - own[1]) > 8).sum() < 250
@@ -88,17 +88,31 @@ def test_heads_turn_further_to_the_side_they_look_to():
         assert low <= yaws.min() < low + 2
         assert 88 < yaws.max() <= 90
     # Of heads turned to both extremes there are fewer than if yaw and, in half of them, pitch were drawn evenly.
-    poses = np.array([SCRIPT["target_pose"](np.zeros(3), rng) for _ in range(20000)])
+    poses = np.array([SCRIPT["sideways"](np.zeros(3), rng) for _ in range(20000)])
     both = (np.abs(poses[:, 1]) > 45) & (np.abs(poses[:, 2]) > 80)
     assert 0 < both.mean() < 0.85 * (0.5 * 10 / 55) * (10 / 60)
-    frontal = np.array([SCRIPT["target_pose"](np.zeros(3), rng)[2] for _ in range(100)])
+    frontal = np.array([SCRIPT["sideways"](np.zeros(3), rng)[2] for _ in range(100)])
     assert 25 < (frontal > 0).sum() < 75
+
+
+def test_heads_tilt_further_the_way_they_look():
+    rng = np.random.default_rng(0)
+    poses = np.array([SCRIPT["tilted"](np.array([3.0, -25.0, 20.0]), rng) for _ in range(400)])
+    assert (np.abs(poses[:, 0] - 3) <= 10).all()
+    assert (np.abs(poses[:, 2] - 20) <= 8).all()
+    assert -55 <= poses[:, 1].min() < -53
+    assert -27 < poses[:, 1].max() <= -25
+    frontal = np.array([SCRIPT["tilted"](np.zeros(3), rng)[1] for _ in range(200)])
+    assert np.abs(frontal).min() >= 15
+    assert 60 < (frontal > 0).sum() < 140
+    with pytest.raises(InputError, match="already"):
+        SCRIPT["tilted"](np.array([0.0, 50.0, 0.0]), rng)
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 88.0), (0.0, 60.0, 0.0)])
 def test_faces_that_are_turned_already_are_left_out(pose):
     with pytest.raises(InputError, match="already"):
-        SCRIPT["target_pose"](np.array(pose), np.random.default_rng(0))
+        SCRIPT["sideways"](np.array(pose), np.random.default_rng(0))
 
 
 def test_faces_are_spread_evenly_over_subjects(faces):
@@ -130,7 +144,7 @@ def test_rendered_labels_have_the_pose_that_was_drawn(render, faces, tmp_path):
     assert [face.subject for face in dataset.faces] == ["people_anna", "people_anna", "people_bert"]
     for face, name in zip(dataset.faces, NAMES, strict=True):
         own = pose_of(read_pts(faces / f"{name}.pts"))
-        target = SCRIPT["target_pose"](own, SCRIPT["generator"](3, face.face))
+        target = SCRIPT["sideways"](own, SCRIPT["generator"](3, face.face))
         np.testing.assert_allclose(pose_of(face.landmarks), target, atol=2)
         # The nose, at the picture's front whatever the pose, took its bright spot along.
         picture = read_image(face.image)
