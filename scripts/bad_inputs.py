@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from safetensors.numpy import load_file, save_file
+from scipy.io import savemat
 
 import jaxfit
 from jaxfit.cli.main import main as command
@@ -128,6 +129,38 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
         "model: truncated": evaluates(cut, f"pts:{labels}"),
         "model: a safetensors file of something else": evaluates(other, f"pts:{labels}"),
         "model: of another format version": evaluates(newer, f"pts:{labels}"),
+        **_of_3d(folder, picture, points, labels, evaluates),
+    }
+
+
+def _of_3d(
+    folder: Path, picture: np.ndarray, points: np.ndarray, labels: Path, evaluates: Callable[..., Callable[[], str]]
+) -> dict[str, Callable[[], str]]:
+    """What can be wrong with heads, their poses and the data sets that have them."""
+    mats, people = folder / "mats", folder / "people" / "Person01"
+    mats.mkdir()
+    people.mkdir(parents=True)
+    for name in ("good", "torn"):
+        write_image(mats / f"{name}.jpg", picture)
+        savemat(
+            mats / f"{name}.mat", {"Pose_Para": np.zeros((1, 7)), "pt3d_68": np.vstack([points.T + 1, np.zeros(68)])}
+        )
+    torn = mats / "torn.mat"
+    torn.write_bytes(torn.read_bytes()[:200])
+    for tilt in ("+0", "+30"):
+        write_image(people / f"person01100{tilt}+0.jpg", picture)
+    (people / "person01100+0+0.txt").write_text("person01100+0+0.jpg\nFace\n170\n100\n200\n200\n")
+    head = folder / "head.safetensors"
+    bundled = Path(jaxfit.__file__).parent / "models" / "bundled_heads" / "ict-facekit.safetensors"
+    head.write_bytes(bundled.read_bytes()[:900])
+    train = ("train", "--method", "regression3d", "--out", str(folder / "m.safetensors"))
+    return {
+        "3D: to refine a 2D model": evaluates("sdm68", f"pts:{labels}", "--refine"),
+        "3D: a damaged head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", str(head)),
+        "3D: no such head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", "nobody"),
+        "3D: AFLW2000 with a damaged file": evaluates("sdm68", f"aflw2000:{mats}"),
+        "3D: Pointing'04 with a missing box": evaluates("sdm68", f"pointing04:{people.parent}"),
+        "3D: training without landmarks": lambda: _said(*train, "--data", f"pointing04:{people.parent}"),
     }
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, shared_scheme, training_options
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
 from jaxfit.lifting import lift_labels
 from jaxfit.models.files import SUFFIX, save
@@ -41,6 +42,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
     )
+    command.add_argument(
+        "--without",
+        nargs="+",
+        default=[],
+        metavar="SPEC",
+        help="datasets to be tested on: faces in pictures with the file names of theirs are left out of all others",
+    )
     add_training(command)
     command.set_defaults(run=run)
 
@@ -62,6 +70,7 @@ def run(options: argparse.Namespace) -> int:
         faces += lifted.faces
         problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in lifted.problems)]
         print(f"{dataset.spec}: {len(lifted.faces)} of {len(dataset.faces)} faces lifted to {scheme.name}")
+    faces = _without(faces, read_datasets(options.without, None))
     with Bars() as bars:
         trained = train(
             faces,
@@ -80,3 +89,16 @@ def run(options: argparse.Namespace) -> int:
     if not options.no_haar and len(trained.model.placements) == 1:
         print("the Haar detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
+
+
+def _without(faces: list[FaceRecord], tested: list[Dataset]) -> list[FaceRecord]:
+    """The faces in other pictures than those of the tested datasets; says how many are not.
+
+    By the names of the files: AFLW2000-3D's pictures are AFLW's, cut and scaled, under the same names.
+    """
+    for dataset in tested:
+        names = {face.image.name for face in dataset.faces}
+        kept = [face for face in faces if face.image.name not in names]
+        print(f"{len(faces) - len(kept)} of {len(faces)} faces left out: {dataset.spec} has their pictures")
+        faces = kept
+    return faces

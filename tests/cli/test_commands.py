@@ -447,6 +447,23 @@ def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypat
     assert "no head model 'nobody': expected one of the bundled head models" in capsys.readouterr().err
 
 
+def test_training_without_the_pictures_of_the_test(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Training itself is left out: it is told what it would get."""
+    elsewhere = [replace(face, image=tmp_path / "cut" / face.image.name, face="other") for face in heads[1:3]]
+    monkeypatch.setitem(FORMATS, "drawn", lambda _: Dataset("", AFLW21, heads[:6]))
+    monkeypatch.setitem(FORMATS, "tested", lambda _: Dataset("", NO_LANDMARKS, tuple(map(unlabelled, elsewhere))))
+    learned = []
+
+    def train(faces, scheme, **_):
+        learned.extend(faces)
+        return jaxfit.Trained(head_models["regression3d"], len(faces), ())
+
+    monkeypatch.setattr("jaxfit.cli.train.train", train)
+    assert main(["train", "--data", "drawn:x", "--without", "tested:x", "--out", str(tmp_path / "m.safetensors")]) == 0
+    assert [face.face for face in learned] == [face.face for face in (heads[0], *heads[3:6])]
+    assert "2 of 6 faces left out: tested:x has their pictures" in capsys.readouterr().out
+
+
 def test_3d_methods_need_a_head_model_of_the_landmarks(drawn: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     monkeypatch.setattr("jaxfit.training.read_image", None)  # not reached
     out = tmp_path / "out.safetensors"
