@@ -140,7 +140,7 @@ def fit(
             to refine.
     """
     turns = start_rotations(initialisations, rotations)
-    _require_refinable(model, refine)
+    require_refinable(model, refine)
     crops, problems = crop_faces(model, images, boxes, kind)
     found = _empty(model, len(images))
     usable = np.array([number for number in range(len(images)) if number not in problems], int)
@@ -167,7 +167,12 @@ def fit(
     return Fits(problems=problems, **found)
 
 
-def _require_refinable(model: Model, refine: bool) -> None:
+def require_refinable(model: Model, refine: bool) -> None:
+    """Check that a model aligns a 3D shape, if that is to be refined.
+
+    Raises:
+        InputError: it does not.
+    """
     if refine and model.head is None:
         raise InputError("refine: only models of the method alignment3d align a 3D shape that could be refined")
 
@@ -203,7 +208,7 @@ def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
     """
-    _require_refinable(model, refine)
+    require_refinable(model, refine)
     side = model.cascade.frame.crop
     turns = start_rotations(initialisations, ANY_ROTATION)
     for size in batches:

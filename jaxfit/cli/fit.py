@@ -24,7 +24,7 @@ from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.pts import write_pts
 from jaxfit.evaluation.pose import ANGLES
 from jaxfit.exceptions import ImageError
-from jaxfit.fitting import Fits, fit
+from jaxfit.fitting import Fits, fit, require_refinable
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 
@@ -69,6 +69,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no face was fitted at all."""
     model = load(options.model)
+    require_refinable(model, options.refine)
     boxes = given_boxes(options, model)
     pictures = find_images(options.pictures)
     folder = out_folder(options.out)
@@ -104,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
             "around the landmarks: do not trust these fits, give boxes with --boxes"
         )
     if boxes is not None and (unused := boxes.keys() - {picture.name for picture in pictures}):
-        problems.append(f"{options.boxes}: rows for {len(unused)} files that were not given, such as {min(unused)}")
+        problems.append(f"{options.boxes}: rows for pictures that were not given: {len(unused)}, such as {min(unused)}")
     report_problems(untrained_starts(options.model, model, options.initialisations) + problems)
     print(f"pictures: {len(pictures)}, faces fitted: {len(rows)}, model: {options.model}")
     written = ["landmarks.csv", *(["heads.csv"] if model.solid is not None else []), "pts", "overlays"]

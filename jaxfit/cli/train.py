@@ -37,7 +37,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="more datasets, of other or incomplete landmarks: a 3D head model (--head) gives them all of the others'",
+        help="more datasets, of other or incomplete landmarks: a 3D head model (--head) gives them those of --data",
     )
     command.add_argument(
         "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
@@ -61,6 +61,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {out}"
         )
+    if options.lift_yaw and not options.lift:
+        raise InputError("--lift-yaw says which faces of --lift are taken; give that too")
     datasets = read_datasets(options.data, options.scheme)
     scheme = shared_scheme(datasets)
     faces = [face for dataset in datasets for face in dataset.faces]
