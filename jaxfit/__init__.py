@@ -3,6 +3,8 @@
 >>> model = jaxfit.load("sdm68")
 >>> fits = jaxfit.fit(model, images, boxes)
 >>> fits.landmarks  # (N, 68, 2), in the pixels of each image
+>>> heads = jaxfit.fit(jaxfit.load("regression68-3d"), images, boxes)
+>>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
 """
 
 __version__ = "0.1.0.dev0"

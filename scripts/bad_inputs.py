@@ -158,8 +158,8 @@ def _of_3d(
         "3D: to refine a 2D model": evaluates("sdm68", f"pts:{labels}", "--refine"),
         "3D: a damaged head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", str(head)),
         "3D: no such head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", "nobody"),
-        "3D: AFLW2000 with a damaged file": evaluates("sdm68", f"aflw2000:{mats}"),
-        "3D: Pointing'04 with a missing box": evaluates("sdm68", f"pointing04:{people.parent}"),
+        "3D: AFLW2000 with a damaged file": evaluates("regression68-3d", f"aflw2000:{mats}"),
+        "3D: Pointing'04 with a missing box": evaluates("regression68-3d", f"pointing04:{people.parent}"),
         "3D: training without landmarks": lambda: _said(*train, "--data", f"pointing04:{people.parent}"),
     }
 

@@ -127,6 +127,8 @@ def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.isfinite(names["fits"].landmarks).all()
     np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
     assert np.isfinite(names["slope"]).all()
+    assert np.isfinite(names["heads"].pose).all()
+    assert names["heads"].landmarks_3d.shape == (1, 68, 3)
 
 
 def test_links() -> None:
