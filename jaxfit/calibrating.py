@@ -1,21 +1,26 @@
 """How faces lie in a new kind of box, measured on pictures with such boxes: no landmarks are needed."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxfit.data.detection import best_match, detect_faces
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.images import read_grey
 from jaxfit.data.placements import Placement, measure_placement
 from jaxfit.data.records import FaceRecord
+from jaxfit.evaluating import Evaluation, evaluate
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.fitting import fit
-from jaxfit.models.model import Model
+from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.space import Start
 
 _DETECTOR = "haar-frontal"
 _FEWEST = 10
+# Degrees of labelled pitch and yaw up to which a head looks straight ahead.
+_FRONTAL = 15
 
 
 def calibrate_boxes(
@@ -45,7 +50,7 @@ def calibrate_boxes(
         if face.box is None:
             continue
         try:
-            grey = to_grey(read_image(face.image, exif=False))
+            grey = read_grey(face.image)
         except ImageError:
             continue
         match = best_match(detect_faces(grey), face.box)
@@ -63,3 +68,64 @@ def calibrate_boxes(
     mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
     centred = np.asarray(mean - mean.mean(0), np.float64)
     return measure_placement(np.array(boxes)[fits.ok], fits.landmarks[fits.ok], centred, frame.face)
+
+
+def frontal(face: FaceRecord) -> bool:
+    """Whether a head looks straight ahead, as far as is known: whether its box tells how faces lie in boxes."""
+    return face.pose is None or not bool((np.abs(face.pose[1:]) > _FRONTAL).any())
+
+
+def evaluate_in_own_boxes(
+    models: Mapping[str, Model],
+    faces: Sequence[FaceRecord],
+    calibrator: Model,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> dict[str, Evaluation]:
+    """Evaluate models from the boxes of a dataset that none of them knows, learning nothing from who is tested.
+
+    One subject after the other: how faces lie in the boxes is measured on frontal faces of all others.
+
+    Args:
+        models: by name.
+        faces: of several subjects, with boxes, and landmarks or none.
+        calibrator: model of the same landmarks that measures the boxes, as in `calibrate_boxes`.
+        progress: called with the stage's name, faces done and faces in all.
+
+    Returns:
+        By name; the faces are sorted by subject.
+
+    Raises:
+        InputError: another scheme than the calibrator's, as where a face's centre and size are depends on the
+            landmarks; fewer than two subjects; or as `calibrate_boxes`.
+    """
+    for name, model in models.items():
+        if model.scheme != calibrator.scheme:
+            raise InputError(f"{name}: expected a model of {calibrator.scheme.name}, as the boxes are measured by one")
+    subjects = sorted({face.subject for face in faces})
+    if len(subjects) < 2:
+        raise InputError("expected faces of two subjects or more: each one's boxes are measured on the others")
+    parts: dict[str, list[Evaluation]] = {name: [] for name in models}
+    for subject in subjects:
+        tested = [face for face in faces if face.subject == subject]
+        others = [face for face in faces if face.subject != subject and frontal(face)]
+        placement = calibrate_boxes(calibrator, others, progress)
+        boxes = np.array([np.full(4, np.nan) if face.box is None else face.box for face in tested])
+        for name, model in models.items():
+            placed = replace(model, placements={**model.placements, SQUARE: placement})
+            parts[name].append(evaluate(placed, tested, boxes, progress=progress))
+    return {name: _joined(results) for name, results in parts.items()}
+
+
+def _joined(results: Sequence[Evaluation]) -> Evaluation:
+    """Evaluations of several sets of faces as one."""
+    arrays: dict[str, Any] = {
+        name: None if getattr(results[0], name) is None else np.concatenate([getattr(each, name) for each in results])
+        for name in ("boxes", "landmarks", "errors", "pose", "errors_3d")
+    }
+    firsts = np.cumsum([0, *(len(each.faces) for each in results)])
+    problems = {
+        int(first) + number: why
+        for first, each in zip(firsts, results, strict=False)
+        for number, why in each.problems.items()
+    }
+    return replace(results[0], faces=sum((each.faces for each in results), ()), problems=problems, **arrays)

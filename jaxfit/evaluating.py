@@ -4,6 +4,7 @@ import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ import numpy as np
 from jaxfit.aligning import with_depth
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.images import read_grey
 from jaxfit.data.records import FaceRecord
-from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.errors import nmed, normaliser_length
 from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import ImageError, InputError
-from jaxfit.fitting import BATCHES, fit, warm_up
+from jaxfit.fitting import BATCHES, Fits, fit, fit_steps, warm_up
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import convert, sources
 from jaxfit.shapes.schemes import Scheme
@@ -121,6 +122,7 @@ def evaluate(
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    read: Callable[[Path], np.ndarray] = read_grey,
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors.
 
@@ -135,82 +137,141 @@ def evaluate(
         rotations: lowest and highest rotation of the starts, in degrees.
         refine: as in ``jaxfit.fit``.
         progress: called with the stage's name, faces done and faces in all.
+        read: gets a picture's path and returns it grey, uint8 (H, W).
 
     Raises:
         InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
             number, an unknown normaliser or kind, no or two initialisations, or no range of rotations.
     """
+    model.placement(kind)
+    check_rotations(initialisations, rotations)
+    of_pictures = partial(fit, model, kind=kind, initialisations=initialisations, rotations=rotations, refine=refine)
+    compiled = partial(warm_up, model, initialisations=initialisations, refine=refine)
+    (evaluation,) = _evaluate(
+        model,
+        faces,
+        boxes,
+        scheme or model.scheme,
+        normaliser,
+        compiled,
+        lambda *of: [of_pictures(*of)],
+        progress,
+        read,
+    )
+    return evaluation
+
+
+def evaluate_steps(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    *,
+    normaliser: str = "outer",
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    read: Callable[[Path], np.ndarray] = read_grey,
+) -> list[Evaluation]:
+    """What `evaluate` tells of the model's first step alone, of its first two, and so on to all; fitted only once.
+
+    Args:
+        model: the model.
+        faces: N labelled faces.
+        boxes: (N, 4), squares around the landmarks, give or take.
+        normaliser: as in `evaluate`, like all below.
+        progress: called with the stage's name, faces done and faces in all.
+        read: gets a picture's path and returns it grey, uint8 (H, W).
+
+    Raises:
+        InputError: as `evaluate`.
+    """
+    compiled = partial(warm_up, model, every_step=True)
+    return _evaluate(model, faces, boxes, model.scheme, normaliser, compiled, partial(fit_steps, model), progress, read)
+
+
+def _evaluate(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    scheme: Scheme,
+    normaliser: str,
+    compiled: Callable[[Sequence[int]], None],
+    fitted: Callable[[Sequence[np.ndarray], np.ndarray], list[Fits]],
+    progress: Callable[[str, int, int], None],
+    read: Callable[[Path], np.ndarray],
+) -> list[Evaluation]:
+    """An evaluation for each of the fits that ``fitted`` makes of pictures and their boxes (N, 4)."""
     boxes = np.asarray(boxes, np.float64)
     if boxes.shape != (len(faces), 4):
         raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
-    scheme = scheme or model.scheme
-    sources(model.scheme, scheme)  # a wrong scheme stops before the work
+    sources(model.scheme, scheme)  # a wrong scheme or normaliser stops before the work
     require_scheme(scheme, faces)
-    model.placement(kind)
-    check_rotations(initialisations, rotations)
-    unknown = np.full((scheme.count, 2), np.nan)
-    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
-    truth = truth.reshape(-1, scheme.count, 2)
-    solid = np.full((len(faces), scheme.count, 3), np.nan)
-    landmarks = np.full_like(truth, np.nan)
-    pose = np.full((len(faces), 3), np.nan)
-    nmed(landmarks[:0], truth[:0], scheme, normaliser)  # a wrong normaliser stops before the work
+    normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
     if faces:
         progress("compiling (cached for later runs)", 0, len(faces))
-        warm_up(model, [size for size in BATCHES if size <= len(faces)], initialisations, refine)
+        compiled([size for size in BATCHES if size <= len(faces)])
+    rows: list[int] = []
+    parts: list[list[Fits]] = []
     problems: dict[int, str] = {}
-    seconds, fitted = 0.0, 0
+    seconds = 0.0
     for first in range(0, len(faces), BATCHES[0]):
         progress("fitting", first, len(faces))
-        rows, pictures = [], []
+        batch, pictures = [], []
         for number in range(first, min(first + BATCHES[0], len(faces))):
             if not np.isfinite(boxes[number]).all():
                 problems[number] = f"{faces[number].image}: no face box"
                 continue
             try:
-                pictures.append(to_grey(read_image(faces[number].image, exif=False)))
-                rows.append(number)
+                pictures.append(read(faces[number].image))
+                batch.append(number)
             except ImageError as error:
                 problems[number] = str(error)
         begin = time.perf_counter()
-        fits = fit(
-            model,
-            pictures,
-            boxes[rows].reshape(-1, 4),
-            kind=kind,
-            initialisations=initialisations,
-            rotations=rotations,
-            refine=refine,
-        )
+        parts.append(fitted(pictures, boxes[batch].reshape(-1, 4)))
         seconds += time.perf_counter() - begin
-        fitted += len(rows)
-        landmarks[rows] = convert(fits.landmarks, model.scheme, scheme)
-        if fits.landmarks_3d is not None and fits.pose is not None:
-            solid[rows], pose[rows] = convert(fits.landmarks_3d, model.scheme, scheme), fits.pose
-        problems |= {rows[i]: f"{faces[rows[i]].image}: {why}" for i, why in fits.problems.items()}
+        problems |= {batch[i]: f"{faces[batch[i]].image}: {why}" for i, why in parts[-1][-1].problems.items()}
+        rows += batch
     progress("fitting", len(faces), len(faces))
-    return Evaluation(
-        faces=tuple(faces),
-        boxes=boxes,
-        landmarks=landmarks,
-        errors=nmed(landmarks, truth, scheme, normaliser),
-        normaliser=normaliser,
-        problems=problems,
-        seconds_per_face=seconds / fitted if fitted else float("nan"),
-        pose=pose if model.solid else None,
-        errors_3d=_errors_3d(model, solid, truth, scheme, normaliser),
-    )
+    parts = parts or [fitted([], boxes)]
+
+    def whole(found: Sequence[np.ndarray | None], *shape: int) -> np.ndarray:
+        """What was found in each batch, of all faces; NaN for those that were not fitted."""
+        values = np.full((len(faces), *shape), np.nan)
+        if rows:
+            values[rows] = np.concatenate([part for part in found if part is not None])
+        return values
+
+    unknown = np.full((scheme.count, 2), np.nan)
+    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
+    truth = truth.reshape(-1, scheme.count, 2)
+    solid_truth = _solid_truth(model, scheme, truth)
+    evaluations = []
+    for fits in zip(*parts, strict=True):
+        landmarks = whole([convert(each.landmarks, model.scheme, scheme) for each in fits], scheme.count, 2)
+        pose = errors_3d = None
+        if model.solid is not None:
+            pose = whole([each.pose for each in fits], 3)
+            solid = [convert(each.landmarks_3d, model.scheme, scheme) for each in fits if each.landmarks_3d is not None]
+            errors_3d = nmed(whole(solid, scheme.count, 3), solid_truth, scheme, normaliser)
+        evaluations.append(
+            Evaluation(
+                faces=tuple(faces),
+                boxes=boxes,
+                landmarks=landmarks,
+                errors=nmed(landmarks, truth, scheme, normaliser),
+                normaliser=normaliser,
+                problems=problems,
+                seconds_per_face=seconds / len(rows) if rows else float("nan"),
+                pose=pose,
+                errors_3d=errors_3d,
+            )
+        )
+    return evaluations
 
 
-def _errors_3d(
-    model: Model, solid: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str
-) -> np.ndarray | None:
-    """NMED in 3D (N,); NaN where the labels are none of the 3D shape, or too few to give it depth."""
-    if model.solid is None:
-        return None
-    if scheme != model.scheme:
-        return np.full(len(truth), np.nan)
-    return nmed(solid, with_depth(truth, model.solid.model), scheme, normaliser)
+def _solid_truth(model: Model, scheme: Scheme, truth: np.ndarray) -> np.ndarray:
+    """The labels (N, L, 3) with depths; NaN where they are none of the 3D shape, or too few to give it depth."""
+    if model.solid is None or scheme != model.scheme:
+        return np.full((*truth.shape[:2], 3), np.nan)
+    return with_depth(truth, model.solid.model)
 
 
 def require_scheme(scheme: Scheme, faces: Sequence[FaceRecord]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -141,18 +142,64 @@ def fit(
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
+    fit_batch = partial(_fit_batch, model, turns=turns, refine=refine)
+    (fits,) = _fits(model, images, boxes, kind, 1, fit_batch, progress)
+    return fits
+
+
+def fit_steps(
+    model: Model,
+    images: Sequence[np.ndarray] | np.ndarray,
+    boxes: ArrayLike,
+    *,
+    kind: str | Sequence[str] = SQUARE,
+) -> list[Fits]:
+    """The fits after each step of the cascade, from one start a face; the last are those of `fit`.
+
+    Args:
+        model: as in `fit`, like all below.
+        images: N pictures.
+        boxes: (N, 4), in pixels.
+        kind: what drew the boxes.
+
+    Raises:
+        InputError: as `fit`.
+    """
+    steps = len(model.cascade.windows)
+    return _fits(model, images, boxes, kind, steps, partial(_fit_batch, model, every_step=True), lambda *_: None)
+
+
+def _fits(
+    model: Model,
+    images: Sequence[np.ndarray] | np.ndarray,
+    boxes: ArrayLike,
+    kind: str | Sequence[str],
+    count: int,
+    fit_batch: Callable[[jax.Array], list[dict[str, np.ndarray]]],
+    progress: Callable[[str, int, int], None],
+) -> list[Fits]:
+    """``count`` fits of each picture, which ``fit_batch`` makes of crops."""
     crops, problems = crop_faces(model, images, boxes, kind)
-    found = _empty(model, len(images))
     usable = np.array([number for number in range(len(images)) if number not in problems], int)
-    done = 0
+    batches, done = [], 0
     for size in _batch_sizes(len(usable)):
         progress("fitting", done, len(usable))
-        rows = usable[done : done + size]
-        fitted = _fit_batch(model, jnp.asarray(crops.pixels[rows]), turns, refine)
-        for name, values in fitted.items():
-            found[name][rows] = np.asarray(values)
+        batches.append(fit_batch(jnp.asarray(crops.pixels[usable[done : done + size]])))
         done += size
     progress("fitting", done, len(usable))
+    if not batches:
+        return [Fits(problems=problems, **_empty(model, len(images)))] * count
+    return [_in_images(model, crops, usable, parts, problems) for parts in zip(*batches, strict=True)]
+
+
+def _in_images(
+    model: Model, crops: Crops, usable: np.ndarray, parts: Sequence[dict[str, np.ndarray]], problems: dict[int, str]
+) -> Fits:
+    """What was found in batches of the ``usable`` crops, in the pixels of the pictures."""
+    problems = dict(problems)
+    found = _empty(model, len(crops.scale))
+    for name, values in found.items():
+        values[usable] = np.concatenate([part[name] for part in parts])
     for name in ("landmarks", "landmarks_3d"):
         if name in found:
             found[name][usable, :, :2] = crops.to_images(found[name][usable, :, :2], usable)
@@ -162,8 +209,8 @@ def fit(
     for number in usable:
         if not all(np.isfinite(values[number]).all() for values in found.values()):
             problems[int(number)] = "the fit diverged"
-            for name in found:
-                found[name][number] = np.nan
+            for values in found.values():
+                values[number] = np.nan
     return Fits(problems=problems, **found)
 
 
@@ -186,11 +233,19 @@ def _empty(model: Model, count: int) -> dict[str, np.ndarray]:
     return {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
 
 
-def _fit_batch(model: Model, crops: jax.Array, turns: jax.Array, refine: bool) -> dict[str, jax.Array]:
-    """What is found in crops, by its name in `Fits`, in crop pixels."""
+def _fit_batch(
+    model: Model, crops: jax.Array, turns: jax.Array | None = None, refine: bool = False, every_step: bool = False
+) -> list[dict[str, np.ndarray]]:
+    """What is found in crops, by its name in `Fits`, in crop pixels; with ``every_step``, after each step."""
     if model.solid is None:
-        return {"landmarks": fit_crops(model.cascade, crops, turns)}
-    return fit_heads(model.cascade, crops, turns, model.head, refine)._asdict()
+        found = {"landmarks": fit_crops(model.cascade, crops, turns, every_step)}
+    else:
+        found = fit_heads(model.cascade, crops, turns, model.head, refine, every_step)._asdict()
+    arrays = {name: np.asarray(values) for name, values in found.items()}
+    if not every_step:
+        return [arrays]
+    steps = len(model.cascade.windows)
+    return [{name: values[:, step] for name, values in arrays.items()} for step in range(steps)]
 
 
 def _batch_sizes(count: int) -> list[int]:
@@ -202,14 +257,21 @@ def _batch_sizes(count: int) -> list[int]:
     return sizes
 
 
-def warm_up(model: Model, batches: Sequence[int] = BATCHES, initialisations: int = 1, refine: bool = False) -> None:
-    """Compile the model for the batch sizes that ``fit`` uses; the first fit is then as fast as the others.
+def warm_up(
+    model: Model,
+    batches: Sequence[int] = BATCHES,
+    initialisations: int = 1,
+    refine: bool = False,
+    every_step: bool = False,
+) -> None:
+    """Compile the model for the batch sizes that ``fit`` uses, or with ``every_step`` `fit_steps`; the first fit is
+    then as fast as the others.
 
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
     """
     require_refinable(model, refine)
     side = model.cascade.frame.crop
-    turns = start_rotations(initialisations, ANY_ROTATION)
+    turns = None if every_step else start_rotations(initialisations, ANY_ROTATION)
     for size in batches:
-        jax.block_until_ready(_fit_batch(model, jnp.zeros((size, side, side), jnp.uint8), turns, refine))
+        _fit_batch(model, jnp.zeros((size, side, side), jnp.uint8), turns, refine, every_step)

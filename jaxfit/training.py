@@ -15,7 +15,7 @@ from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detection import best_match, detect_faces
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.images import read_grey
 from jaxfit.data.placements import Placement, measure_placement
 from jaxfit.data.records import FaceRecord
 from jaxfit.descriptors.descriptor import Descriptor
@@ -179,6 +179,7 @@ def train(
     method: str = "sdm",
     options: Options | None = None,
     progress: Progress = _SILENT,
+    read: Callable[[Path], np.ndarray] = read_grey,
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
 
@@ -190,6 +191,7 @@ def train(
             ``"regression3d"`` is the cascade on the parameters of a 3D one and its camera.
         options: how to train; None for the defaults.
         progress: called with a stage's name, what is done and what there is to do.
+        read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
 
     Raises:
         InputError: an unknown method, an option out of range, or fewer than two usable faces.
@@ -220,7 +222,7 @@ def train(
     for number, face in enumerate(complete):
         progress("reading pictures", number, len(complete))
         try:
-            grey = to_grey(read_image(face.image, exif=False))
+            grey = read(face.image)
         except ImageError as error:
             problems.append(str(error))
             continue

@@ -5,17 +5,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 import jaxfit
+from jaxfit.calibrating import frontal
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
-from jaxfit.data.records import FaceRecord
 from jaxfit.models.files import check_target
-
-# Degrees of labelled pitch and yaw up to which a head counts as frontal; where no pose is known all are measured.
-FRONTAL = 15
 
 
 def main() -> int:
@@ -36,11 +31,6 @@ def run(arguments: argparse.Namespace) -> int:
     jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
     print(f"{arguments.out}: knows {kind} boxes, shift {placement.shift}, log scale {placement.log_scale:.3f}")
     return 0
-
-
-def frontal(face: FaceRecord) -> bool:
-    """Whether a head looks straight ahead, as far as is known."""
-    return face.pose is None or not bool((np.abs(face.pose[1:]) > FRONTAL).any())
 
 
 if __name__ == "__main__":

@@ -8,18 +8,16 @@ import argparse
 import platform
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import jax
 import numpy as np
-from calibrate import frontal
 from matplotlib import pyplot
 from scipy.spatial.transform import Rotation
 
 import jaxfit
-from jaxfit.calibrating import calibrate_boxes
+from jaxfit.calibrating import evaluate_in_own_boxes
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
@@ -39,7 +37,7 @@ from jaxfit.evaluation.pose import (
 )
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import InputError
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
 
 PITCHES, YAWS = np.arange(-60, 61, 30.0), np.arange(-90, 91, 22.5)  # where true poses are continuous
@@ -148,31 +146,7 @@ def measured(models: Mapping[str, Model], dataset: Dataset, bars: Bars) -> dict[
     if dataset.scheme != NO_LANDMARKS:
         boxes = start_boxes(dataset.faces)
         return {label: evaluate(model, dataset.faces, boxes, progress=bars) for label, model in models.items()}
-    calibrator = jaxfit.load(CALIBRATOR)
-    for label, model in models.items():
-        if model.scheme != calibrator.scheme:
-            # Where a face's centre and size are depends on the points.
-            raise InputError(f"{label}: expected a model of {calibrator.scheme.name} for {CALIBRATOR}'s measurements")
-    parts: dict[str, list[Evaluation]] = {label: [] for label in models}
-    for subject in sorted({face.subject for face in dataset.faces}):
-        tested = [face for face in dataset.faces if face.subject == subject]
-        others = [face for face in dataset.faces if face.subject != subject and frontal(face)]
-        placement = calibrate_boxes(calibrator, others, bars)
-        for label, model in models.items():
-            placed = replace(model, placements={**model.placements, SQUARE: placement})
-            parts[label].append(evaluate(placed, tested, start_boxes(tested), progress=bars))
-    return {label: joined(results) for label, results in parts.items()}
-
-
-def joined(results: list[Evaluation]) -> Evaluation:
-    """Evaluations of several sets of faces as one; its problems keep their words, not their numbers."""
-    problems = [why for result in results for why in result.problems.values()]
-    arrays = {
-        name: np.concatenate([getattr(result, name) for result in results])
-        for name in ("boxes", "landmarks", "errors", "pose", "errors_3d")
-    }
-    faces = tuple(face for result in results for face in result.faces)
-    return replace(results[0], faces=faces, problems=dict(enumerate(problems)), **arrays)
+    return evaluate_in_own_boxes(models, dataset.faces, jaxfit.load(CALIBRATOR), bars)
 
 
 def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:

@@ -25,7 +25,7 @@ from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.crops import cut_face, to_crop
 from jaxfit.data.facekit import FaceKit, facekit_points, read_facekit, sample_heads
-from jaxfit.data.images import read_image, to_grey, write_image
+from jaxfit.data.images import read_grey, write_image
 from jaxfit.data.mesh_points import MeshPoints
 from jaxfit.data.outputs import require_same_settings
 from jaxfit.data.pts import write_pts
@@ -226,7 +226,7 @@ def render_face(
         ImageError: the picture cannot be read.
         InputError: the head model does not fit the labels, or the face looks to the side or away already.
     """
-    grey = to_grey(read_image(face.image, exif=False))
+    grey = read_grey(face.image)
     square = bounding_square(face.landmarks)
     crop = cut_face(grey, box_centre(square), square[2], FRAME)
     view = seen(model, dense, to_crop(face.landmarks, crop.scale, crop.offset))

@@ -33,7 +33,7 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.images import read_grey
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluating import start_boxes
@@ -159,7 +159,7 @@ def fit_all(cascade, crops, rotations):
 
 def turn(face: FaceRecord, degrees: float) -> tuple[np.ndarray, np.ndarray]:
     """A face's surroundings, turned clockwise about the face, and its landmarks there."""
-    grey = to_grey(read_image(face.image, exif=False))
+    grey = read_grey(face.image)
     square = bounding_square(face.landmarks)
     side = int(3 * square[2])
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))

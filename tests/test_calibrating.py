@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxfit
+from jaxfit.calibrating import evaluate_in_own_boxes, frontal
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
 from jaxfit.shapes.schemes import NO_LANDMARKS
@@ -73,3 +74,30 @@ def test_models_that_do_not_know_the_detector_are_refused(boxed: list[FaceRecord
     stranger = replace(model, placements={"square": model.placement("square")})
     with pytest.raises(jaxfit.InputError, match="haar-frontal"):
         jaxfit.calibrate_boxes(stranger, boxed)
+
+
+def test_only_heads_that_look_ahead_tell_how_faces_lie(boxed: list[FaceRecord]) -> None:
+    turned = [replace(boxed[0], pose=np.array(pose)) for pose in ([40.0, 0, 0], [0, 30.0, 0], [0, 0, -30.0])]
+    assert [frontal(face) for face in (boxed[0], *turned)] == [True, True, False, False]
+
+
+def test_who_is_tested_does_not_tell_how_boxes_lie(boxed: list[FaceRecord], monkeypatch: pytest.MonkeyPatch) -> None:
+    model = jaxfit.load("sdm68")
+    measured = []
+
+    def calibrate(calibrator, faces, progress):
+        measured.append([face.face for face in faces])
+        return calibrator.placement("square")
+
+    monkeypatch.setattr("jaxfit.calibrating.calibrate_boxes", calibrate)
+    people = [replace(face, subject=f"person{number % 2}") for number, face in enumerate(boxed[:4])]
+    lost = replace(people[0], image=Path("missing.png"), face="lost")
+    (result,) = evaluate_in_own_boxes({"mine": model}, [*people, lost], model).values()
+    assert measured == [["1", "3"], ["0", "2", "lost"]]
+    assert [face.face for face in result.faces] == ["0", "2", "lost", "1", "3"]
+    assert list(result.problems) == [2]
+    assert np.isfinite(result.landmarks[[0, 1, 3, 4]]).all()
+    assert np.isnan(result.landmarks[2]).all()
+    assert result.pose is None
+    with pytest.raises(jaxfit.InputError, match="two subjects or more"):
+        evaluate_in_own_boxes({"mine": model}, people[::2], model)

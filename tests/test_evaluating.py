@@ -8,10 +8,11 @@ import pytest
 from drawn_heads import HEAD, rotation_of, unlabelled
 
 import jaxfit
+from jaxfit.cascade.model import first_steps
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import match_boxes, start_boxes
+from jaxfit.evaluating import evaluate_steps, match_boxes, start_boxes
 from jaxfit.shapes.schemes import IBUG68
 
 
@@ -149,14 +150,40 @@ def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, 
     model, rng = replace(head_models["regression3d"], scheme=IBUG68), np.random.default_rng(0)
     fits = jaxfit.Fits(rng.normal(size=(2, 68, 2)), {}, rng.normal(size=(2, 68, 3)), np.ones((2, 3)), np.ones(2))
     monkeypatch.setattr("jaxfit.evaluating.fit", lambda *_, **__: fits)
-    monkeypatch.setattr("jaxfit.evaluating.warm_up", lambda *_: None)
+    monkeypatch.setattr("jaxfit.evaluating.warm_up", lambda *_, **__: None)
     result = jaxfit.evaluate(model, heads[:2], start_boxes(heads[:2]), scheme=head_models["regression3d"].scheme)
     assert np.isfinite(result.errors).all()
     assert np.isnan(result.errors_3d).all()
     np.testing.assert_array_equal(result.pose, fits.pose)
 
 
-def test_refining_what_is_not_aligned_stops_before_the_work(head_models, heads, monkeypatch) -> None:
-    monkeypatch.setattr("jaxfit.evaluating.read_image", None)
+def test_refining_what_is_not_aligned_stops_before_the_work(head_models, heads) -> None:
+    def read(path: Path) -> np.ndarray:
+        pytest.fail("a picture was read")
+
     with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
-        jaxfit.evaluate(head_models["regression3d"], heads[:1], start_boxes(heads[:1]), refine=True)
+        jaxfit.evaluate(head_models["regression3d"], heads[:1], start_boxes(heads[:1]), refine=True, read=read)
+
+
+@pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+def test_every_step_is_what_a_cascade_of_so_many_steps_tells(head_models, heads, method: str) -> None:
+    model, faces = head_models[method], [*heads[:3], replace(heads[3], image=Path("missing.png"))]
+    boxes = start_boxes(faces)
+    results = evaluate_steps(model, faces, boxes)
+    assert len(results) == len(model.cascade.windows)
+    for steps, result in enumerate(results, 1):
+        short = replace(model, cascade=first_steps(model.cascade, steps))
+        alone = jaxfit.evaluate(short, faces, boxes)
+        for name in ("errors", "errors_3d", "landmarks", "pose"):
+            np.testing.assert_allclose(getattr(result, name), getattr(alone, name), rtol=1e-3, atol=1e-3)
+        assert result.problems == alone.problems
+        assert np.isinf(result.errors[3])
+
+
+def test_no_picture_that_can_be_read_or_no_face_at_all(head_models, heads) -> None:
+    model, lost = head_models["regression3d"], [replace(heads[0], image=Path("missing.png"))]
+    assert len(evaluate_steps(model, lost, start_boxes(lost))) == len(model.cascade.windows)
+    for faces in (lost, []):
+        for result in evaluate_steps(model, faces, start_boxes(faces)):
+            assert len(result.errors) == len(faces)
+            assert np.isinf(result.errors).all()

@@ -85,14 +85,25 @@ def advanced(descriptor: Descriptor, space: ShapeSpace, state: State, step: Floa
 
 def fit_state(cascade: Cascade, prepared: Any, state: State) -> State:
     """Fit one face from one state: the whole cascade, on a crop that the descriptor has prepared."""
+    return _descend(cascade, prepared, state)[0]
+
+
+def fit_trace(cascade: Cascade, prepared: Any, state: State) -> State:
+    """The states after each step of `fit_state` (a leading axis): what cascades of fewer steps would end with."""
+    return _descend(cascade, prepared, state)[1]
+
+
+def _descend(cascade: Cascade, prepared: Any, state: State) -> tuple[State, State]:
+    """The state after the last step, and those after each."""
     descriptor, space = cascade.descriptor, cascade.space
 
-    def step(state: State, layer: tuple[Array, Array, Array]) -> tuple[State, None]:
+    def step(state: State, layer: tuple[Array, Array, Array]) -> tuple[State, State]:
         weights, bias, window = layer
         seen = features_at(descriptor, space, prepared, state, window)
-        return advanced(descriptor, space, state, seen @ weights + bias), None
+        state = advanced(descriptor, space, state, seen @ weights + bias)
+        return state, state
 
-    return lax.scan(step, state, (cascade.weights, cascade.biases, cascade.windows))[0]
+    return lax.scan(step, state, (cascade.weights, cascade.biases, cascade.windows))
 
 
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
@@ -182,25 +193,26 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
 
 def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Float[Array, "starts landmarks 2"]:
     """Fit one face from several starts (a leading axis): the landmarks of every fit."""
-    return vmap(partial(landmarks_of, cascade.space))(_fit_states(cascade, crop, starts))
+    return vmap(partial(landmarks_of, cascade.space))(_fit_states(cascade, crop, starts, fit_state))
 
 
-def _fit_states(cascade: Cascade, crop: Crop, starts: Start) -> State:
+def _fit_states(cascade: Cascade, crop: Crop, starts: Start, descend: Callable[[Cascade, Any, State], State]) -> State:
     space = cascade.space
     prepared = cascade.descriptor.prepare(crop)
 
     def fitted(start: Start) -> State:
-        return fit_state(cascade, prepared, state_of(cascade.descriptor, space, space.place(start)))
+        return descend(cascade, prepared, state_of(cascade.descriptor, space, space.place(start)))
 
     return lax.map(fitted, starts, batch_size=SAMPLED_AT_ONCE)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="every_step")
 def fit_crops(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
-) -> Float[Array, "faces landmarks 2"]:
+    every_step: bool = False,
+) -> Float[Array, "faces *steps landmarks 2"]:
     """Landmarks of a batch of crops, in crop pixels: the whole cascade in one compiled function.
 
     Args:
@@ -208,11 +220,12 @@ def fit_crops(
         crops: uint8 grey crops of ``cascade.frame``, the expected face upright in the middle at the canonical size,
             as ``jaxfit.crop_faces`` cuts them.
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
+        every_step: give the landmarks after each step, in a second axis, and not after the last alone.
 
     Raises:
         InputError: crops of another size, or no rotations.
     """
-    return _fit_each(cascade, crops, rotations, lambda state: landmarks_of(cascade.space, state))
+    return _fit_each(cascade, crops, rotations, lambda state: landmarks_of(cascade.space, state), every_step)
 
 
 class Heads(NamedTuple):
@@ -234,13 +247,14 @@ class Heads(NamedTuple):
     b: Coefficients
 
 
-@partial(jax.jit, static_argnames="refine")
+@partial(jax.jit, static_argnames=("refine", "every_step"))
 def fit_heads(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
     head: CameraASM | None = None,
     refine: bool = False,
+    every_step: bool = False,
 ) -> Heads:
     """Landmarks, 3D shape and pose of a batch of crops, in crop pixels, in one compiled function.
 
@@ -251,6 +265,7 @@ def fit_heads(
         head: align this to the landmarks that a 2D cascade finds (thesis 3.3); None takes the cascade's own
             parameters (3.4).
         refine: adjust coefficients and camera of the alignment together (``shapes.alignment.refine_head``).
+        every_step: as in :func:`fit_crops`.
 
     Raises:
         InputError: crops of another size, no rotations, a 2D cascade without a head, or nothing to refine.
@@ -268,7 +283,7 @@ def fit_heads(
         params = regressed if head is None else head.encode(landmarks, refine)
         return Heads(landmarks, solid.landmarks_3d(params), solid.pose(params), solid.scale(params), solid.b(params))
 
-    return _fit_each(cascade, crops, rotations, heads)
+    return _fit_each(cascade, crops, rotations, heads, every_step)
 
 
 def _fit_each(
@@ -276,8 +291,9 @@ def _fit_each(
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None,
     result: Callable[[State], Any],
+    every_step: bool,
 ) -> Any:
-    """What ``result`` makes of the best fit of each crop."""
+    """What ``result`` makes of the best fit of each crop; with ``every_step``, of the best after each step."""
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
@@ -286,9 +302,13 @@ def _fit_each(
         raise InputError("expected at least one rotation to start from; got none")
     starts = starts_of(cascade.space, cascade.frame, rotations)
 
-    def fitted(crop: Crop) -> Any:
-        states = _fit_states(cascade, crop, starts)
+    def of_best(states: State) -> Any:
         best = centroid(vmap(partial(landmarks_of, cascade.space))(states))
         return result(jax.tree.map(lambda values: values[best], states))
+
+    def fitted(crop: Crop) -> Any:
+        if every_step:
+            return vmap(of_best, in_axes=1)(_fit_states(cascade, crop, starts, fit_trace))
+        return of_best(_fit_states(cascade, crop, starts, fit_state))
 
     return lax.map(fitted, crops, batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))

@@ -1,6 +1,6 @@
 """The parameters of a cascade, as one pytree with a leading step axis."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 from jaxtyping import Array, Float
@@ -30,3 +30,10 @@ class Cascade:
     windows: Float[Array, "steps"]
     descriptor: Descriptor = field(metadata={"static": True})
     frame: Frame = field(metadata={"static": True})
+
+
+def first_steps(cascade: Cascade, count: int) -> Cascade:
+    """The first ``count`` steps of a cascade: what training with as many gives, as steps do not know of later ones."""
+    return replace(
+        cascade, weights=cascade.weights[:count], biases=cascade.biases[:count], windows=cascade.windows[:count]
+    )

@@ -45,6 +45,42 @@ def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
+def read_grey(path: str | Path) -> np.ndarray:
+    """The picture in a file as it is stored, grey, uint8 (H, W): what labels of data sets belong to.
+
+    Raises:
+        ImageError: as `read_image`.
+    """
+    return to_grey(read_image(path, exif=False))
+
+
+class GreyPictures:
+    """`read_grey` with a memory, for work that reads the same pictures again and again.
+
+    Args:
+        most_bytes: how much is kept; what comes after that is read each time.
+    """
+
+    def __init__(self, most_bytes: float = 4e9):
+        self._left = most_bytes
+        self._kept: dict[Path, np.ndarray] = {}
+
+    def __call__(self, path: str | Path) -> np.ndarray:
+        """The picture, uint8 (H, W).
+
+        Raises:
+            ImageError: as `read_image`.
+        """
+        path = Path(path)
+        if path not in self._kept:
+            grey = read_grey(path)
+            if grey.nbytes > self._left:
+                return grey
+            self._left -= grey.nbytes
+            self._kept[path] = grey
+        return self._kept[path]
+
+
 def write_image(path: str | Path, rgb: np.ndarray) -> None:
     """Write a picture, uint8 (H, W, 3) RGB or (H, W) grey, in the format that the name's suffix says, atomically.
 

@@ -1,6 +1,7 @@
 """Pictures from files: every kind that cameras and editors write, and every way to be broken."""
 
 import struct
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.data.images import find_images, read_image, to_grey, write_image
+from jaxfit.data.images import GreyPictures, find_images, read_grey, read_image, to_grey, write_image
 from jaxfit.exceptions import ImageError, InputError
 
 LOSSLESS = [".png", ".bmp", ".tif", ".tiff", ".webp"]
@@ -196,3 +197,16 @@ def test_what_is_not_there_is_told(tmp_path):
         find_images([tmp_path])
     with pytest.raises(InputError, match="no such file or folder"):
         find_images([tmp_path / "none.jpg"])
+
+
+def test_remembered_pictures_are_those_in_the_files(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for name in ("a.png", "b.png"):
+        write_image(tmp_path / name, rng.integers(0, 256, (20, 30, 3), np.uint8))
+    remembered = GreyPictures(most_bytes=700.0)  # one of them
+    for name in ("a.png", "b.png"):
+        np.testing.assert_array_equal(remembered(tmp_path / name), read_grey(tmp_path / name))
+        (tmp_path / name).unlink()
+    assert remembered(tmp_path / "a.png").shape == (20, 30)
+    with pytest.raises(ImageError, match=r"b\.png: cannot be read"):
+        remembered(tmp_path / "b.png")
