@@ -20,9 +20,7 @@ def measurable(errors: np.ndarray) -> np.ndarray:
     Raises:
         InputError: the errors are not a vector.
     """
-    values = np.asarray(errors, dtype=np.float64)
-    if values.ndim != 1:
-        raise InputError(f"errors must be one number a face, (faces,); got {values.shape}")
+    values = _vector(errors)
     return values[~np.isnan(values)]
 
 
@@ -48,8 +46,6 @@ def ced(errors: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 def auc(errors: np.ndarray, limit: float = LIMIT) -> float:
     """Area under the CED from 0 to ``limit``, divided by ``limit``: 1 when every error is 0.
 
-    Exact: the CED is a mean of steps, one at each error e, and the area under one is max(0, limit - e).
-
     Args:
         errors: (N,) normalised errors.
         limit: where the curve ends, in the units of the errors.
@@ -57,9 +53,19 @@ def auc(errors: np.ndarray, limit: float = LIMIT) -> float:
     Raises:
         InputError: the errors are not a vector or the limit is not positive.
     """
+    return _mean(areas(errors, limit))
+
+
+def areas(errors: np.ndarray, limit: float = LIMIT) -> np.ndarray:
+    """What each face contributes to ``auc``, which is their mean: (N,) in [0, 1]; NaN where the error is.
+
+    Exact: the CED is a mean of steps, one at each error e, and the area under one is max(0, limit - e).
+
+    Raises:
+        InputError: the errors are not a vector or the limit is not positive.
+    """
     _check_limit(limit)
-    values = measurable(errors)
-    return float(np.maximum(0.0, 1.0 - values / limit).mean()) if values.size else math.nan
+    return np.maximum(0.0, 1.0 - _vector(errors) / limit)
 
 
 def failure_rate(errors: np.ndarray, limit: float = LIMIT) -> float:
@@ -72,9 +78,31 @@ def failure_rate(errors: np.ndarray, limit: float = LIMIT) -> float:
     Raises:
         InputError: the errors are not a vector or the limit is not positive.
     """
+    return _mean(failures(errors, limit))
+
+
+def failures(errors: np.ndarray, limit: float = LIMIT) -> np.ndarray:
+    """Whether each face fails, which ``failure_rate`` is the mean of: (N,) 1 or 0; NaN where the error is.
+
+    Raises:
+        InputError: the errors are not a vector or the limit is not positive.
+    """
     _check_limit(limit)
-    values = measurable(errors)
-    return float((values > limit).mean()) if values.size else math.nan
+    values = _vector(errors)
+    return np.where(np.isnan(values), np.nan, values > limit)
+
+
+def _vector(errors: np.ndarray) -> np.ndarray:
+    values = np.asarray(errors, dtype=np.float64)
+    if values.ndim != 1:
+        raise InputError(f"errors must be one number a face, (faces,); got {values.shape}")
+    return values
+
+
+def _mean(values: np.ndarray) -> float:
+    """Of those that are not NaN."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else math.nan
 
 
 def _check_limit(limit: float) -> None:

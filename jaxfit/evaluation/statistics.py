@@ -1,13 +1,18 @@
-"""Summaries of errors over a set of faces, and tests of whether two methods differ (section 5)."""
+"""Summaries of errors over a set of faces, how sure they are, and tests of whether methods differ (section 5)."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
-from jaxfit.evaluation.curves import LIMIT, auc, failure_rate, measurable
+from jaxfit.evaluation.curves import LIMIT, areas, auc, failure_rate, failures, measurable
 from jaxfit.exceptions import InputError
+
+# Draws of the bootstrap that are held in memory at once, with what is drawn some 25 MB.
+_DRAWS = 2**20
+SAMPLES = 2000
 
 
 @dataclass(frozen=True)
@@ -117,6 +122,126 @@ def signed_rank(a: np.ndarray, b: np.ndarray) -> float:
     difference = a[differs] - b[differs]
     # The test sees signed ranks only; ranking here keeps infinities out of its arithmetic.
     return float(stats.wilcoxon(np.sign(difference) * stats.rankdata(np.abs(difference))).pvalue)
+
+
+def holm(p_values: np.ndarray) -> np.ndarray:
+    """Holm's step-down adjustment of the p-values of several tests: which hold when all are looked at.
+
+    Rejecting where the adjusted value is at most α errs on any true hypothesis with a probability of at most α, however
+    the tests depend on each other.
+
+    Args:
+        p_values: (K,) of K tests; NaN is a test that was not made, and does not count.
+
+    Returns:
+        (K,) adjusted p-values, NaN where they were.
+
+    Raises:
+        InputError: not a vector of numbers in [0, 1] or NaN.
+    """
+    p_values = np.asarray(p_values, dtype=np.float64)
+    made = ~np.isnan(p_values)
+    if p_values.ndim != 1 or (p_values[made] < 0).any() or (p_values[made] > 1).any():
+        raise InputError(f"expected a vector of p-values in [0, 1], NaN where there is none; got {p_values}")
+    ascending = np.flatnonzero(made)[np.argsort(p_values[made])]
+    hypotheses_left = np.arange(len(ascending), 0, -1)
+    adjusted = np.full_like(p_values, np.nan)
+    adjusted[ascending] = np.minimum(np.maximum.accumulate(hypotheses_left * p_values[ascending]), 1.0)
+    return adjusted
+
+
+def bootstrap_ci(
+    values: np.ndarray,
+    subjects: Sequence[str] | np.ndarray | None = None,
+    *,
+    confidence: float = 0.95,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Percentile bootstrap confidence interval of the mean of values (N,), one a face.
+
+    Pictures of one person are not independent. With ``subjects``, whole subjects are drawn, each with all its faces, as
+    often as there are subjects; the mean is that of all faces drawn.
+
+    Args:
+        values: (N,) finite; NaN is a face that is left out.
+        subjects: who is seen on each of the N faces; None if each is a person of its own.
+        confidence: with which the interval shall hold the mean, in (0, 1).
+        samples: how many samples are drawn.
+        seed: of the draws.
+
+    Returns:
+        The lower and the upper end; both NaN with fewer than two subjects.
+
+    Raises:
+        InputError: the values are not a vector or infinite, there is not one subject a face, or an option is out of
+            range.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    if values.ndim != 1 or np.isinf(values).any():
+        raise InputError(
+            f"expected one finite number a face, (faces,), or NaN to leave it out; got {values.shape} with "
+            f"{int(np.isinf(values).sum())} infinite: of errors, take auc_ci and failure_ci"
+        )
+    if subjects is not None and len(subjects) != len(values):
+        raise InputError(f"expected the subject of each of {len(values)} faces; got {len(subjects)}")
+    if not (0 < confidence < 1 and samples >= 1 and seed >= 0):
+        raise InputError(
+            "expected 0 < confidence < 1, at least one sample and a seed of 0 or more; got "
+            f"{confidence}, {samples} and {seed}"
+        )
+    known = ~np.isnan(values)
+    values = values[known]
+    owners = np.arange(values.size) if subjects is None else np.asarray(subjects)[known]
+    owner_of = np.unique(owners, return_inverse=True)[1]
+    faces = np.bincount(owner_of)
+    if len(faces) < 2:
+        return math.nan, math.nan
+    totals = np.bincount(owner_of, values)
+    rng = np.random.default_rng(seed)
+    means = np.empty(samples)
+    at_once = max(1, _DRAWS // len(faces))
+    for first in range(0, samples, at_once):
+        drawn = rng.integers(len(faces), size=(min(at_once, samples - first), len(faces)))
+        means[first : first + at_once] = totals[drawn].sum(axis=1) / faces[drawn].sum(axis=1)
+    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    return float(low), float(high)
+
+
+def auc_ci(
+    errors: np.ndarray,
+    limit: float = LIMIT,
+    subjects: Sequence[str] | np.ndarray | None = None,
+    *,
+    confidence: float = 0.95,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Confidence interval of ``auc`` of errors (N,); see ``bootstrap_ci`` for the arguments.
+
+    Raises:
+        InputError: the errors are not a vector, the limit is not positive, or see ``bootstrap_ci``.
+    """
+    return bootstrap_ci(areas(errors, limit), subjects, confidence=confidence, samples=samples, seed=seed)
+
+
+def failure_ci(
+    errors: np.ndarray,
+    limit: float = LIMIT,
+    subjects: Sequence[str] | np.ndarray | None = None,
+    *,
+    confidence: float = 0.95,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Confidence interval of ``failure_rate`` of errors (N,); see ``bootstrap_ci`` for the arguments.
+
+    Of no failures, or nothing else, the interval is a single point: drawing again cannot show what was never seen.
+
+    Raises:
+        InputError: the errors are not a vector, the limit is not positive, or see ``bootstrap_ci``.
+    """
+    return bootstrap_ci(failures(errors, limit), subjects, confidence=confidence, samples=samples, seed=seed)
 
 
 def finite_or_none(value: float) -> float | None:

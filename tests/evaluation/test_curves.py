@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.evaluation.curves import auc, ced, failure_rate, measurable
+from jaxfit.evaluation.curves import areas, auc, ced, failure_rate, failures, measurable
 from jaxfit.exceptions import InputError
 
 ERRORS = st.lists(st.floats(0, 0.5) | st.sampled_from([np.inf, np.nan]), max_size=30).map(np.array)
@@ -50,6 +50,22 @@ def test_an_undetected_face_fails_and_an_unmeasurable_one_is_left_out() -> None:
     assert auc(np.array([0.04, np.nan])) == pytest.approx(0.5)
 
 
+def test_what_each_face_contributes() -> None:
+    errors = np.array([0.0, np.nan, 0.02, 0.08, 0.1, np.inf])
+    np.testing.assert_allclose(areas(errors), [1.0, np.nan, 0.75, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(failures(errors), [0.0, np.nan, 0.0, 0.0, 1.0, 1.0])
+
+
+@given(ERRORS, st.floats(0.01, 0.5))
+def test_measures_are_means_of_contributions(errors: np.ndarray, limit: float) -> None:
+    known = ~np.isnan(errors)
+    for each, measure in ((areas, auc), (failures, failure_rate)):
+        contributions = each(errors, limit)
+        np.testing.assert_array_equal(np.isnan(contributions), ~known)
+        if known.any():
+            assert measure(errors, limit) == pytest.approx(sum(contributions[known]) / known.sum())
+
+
 def test_an_error_at_the_limit_is_no_failure() -> None:
     assert failure_rate(np.array([0.08])) == 0.0
 
@@ -63,11 +79,12 @@ def test_no_measurable_faces(errors: np.ndarray) -> None:
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf])
 def test_limit_must_be_positive(limit: float) -> None:
-    for measure in (auc, failure_rate):
+    for measure in (auc, failure_rate, areas, failures):
         with pytest.raises(InputError, match="limit must be a positive number"):
             measure(np.array([0.1]), limit)
 
 
 def test_errors_must_be_a_vector() -> None:
-    with pytest.raises(InputError, match=r"\(2, 3\)"):
-        measurable(np.zeros((2, 3)))
+    for measure in (measurable, auc, failure_rate, areas, failures):
+        with pytest.raises(InputError, match=r"\(2, 3\)"):
+            measure(np.zeros((2, 3)))

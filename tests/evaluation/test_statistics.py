@@ -1,4 +1,4 @@
-"""Confidence intervals against SciPy and the bootstrap, rank tests against enumeration of all outcomes."""
+"""Confidence intervals against SciPy and their coverage, rank tests against enumeration, Holm against statsmodels."""
 
 import json
 from itertools import combinations, product
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jaxfit.evaluation.curves import auc, failure_rate
-from jaxfit.evaluation.statistics import rank_sum, signed_rank, summarise
+from jaxfit.evaluation.curves import areas, auc, failure_rate, failures
+from jaxfit.evaluation.statistics import auc_ci, bootstrap_ci, failure_ci, holm, rank_sum, signed_rank, summarise
 from jaxfit.exceptions import InputError
 
 
@@ -162,3 +162,163 @@ def test_wrong_samples() -> None:
         signed_rank(np.zeros(3), np.zeros(4))
     with pytest.raises(InputError, match="faces"):
         rank_sum(np.zeros((3, 2)), np.zeros(4))
+
+
+def test_rank_tests_of_textbooks() -> None:
+    # Hollander and Wolfe: Hamilton depression scale factors (table 3.1) and permeability of membranes (table 4.1).
+    before = np.array([1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30])
+    after = np.array([0.878, 0.647, 0.598, 2.05, 1.06, 1.29, 1.06, 3.14, 1.29])
+    assert signed_rank(before, after) == pytest.approx(0.0390625)  # 20 of 2^9 sign patterns
+    at_term = np.array([0.80, 0.83, 1.89, 1.04, 1.45, 1.38, 1.91, 1.64, 0.73, 1.46])
+    earlier = np.array([1.15, 0.88, 0.90, 0.74, 1.21])
+    assert rank_sum(at_term, earlier) == pytest.approx(2 * 0.1272061, rel=1e-6)
+
+
+def test_holm_by_hand() -> None:
+    # Sorted 0.01, 0.02, 0.03, 0.04 times 4, 3, 2, 1 is 0.04, 0.06, 0.06, 0.04; and never less than the one before.
+    np.testing.assert_allclose(holm(np.array([0.04, 0.01, 0.03, 0.02])), [0.06, 0.04, 0.06, 0.06])
+    np.testing.assert_allclose(holm(np.array([0.5, 0.9])), [1.0, 1.0])
+    np.testing.assert_array_equal(holm(np.array([0.3])), [0.3])
+    assert holm(np.array([])).shape == (0,)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_holm_is_that_of_statsmodels(seed: int) -> None:
+    multipletests = pytest.importorskip("statsmodels.stats.multitest").multipletests
+    p_values = np.random.default_rng(seed).beta(0.3, 3, size=13).round(3)  # some are equal
+    np.testing.assert_allclose(holm(p_values), multipletests(p_values, method="holm")[1])
+
+
+def test_tests_that_were_not_made_do_not_count() -> None:
+    p_values = np.array([0.02, 0.001, 0.3, 0.04])
+    with_gaps = np.array([np.nan, 0.02, 0.001, np.nan, 0.3, 0.04])
+    adjusted = holm(with_gaps)
+    np.testing.assert_array_equal(np.isnan(adjusted), np.isnan(with_gaps))
+    np.testing.assert_array_equal(adjusted[~np.isnan(adjusted)], holm(p_values))
+    assert np.isnan(holm(np.full(2, np.nan))).all()
+
+
+@pytest.mark.parametrize("wrong", [[0.1, 1.1], [-0.1], [[0.1]], [np.inf]])
+def test_holm_refuses_what_is_no_p_value(wrong: list) -> None:
+    with pytest.raises(InputError, match="p-values"):
+        holm(np.array(wrong))
+
+
+def clustered_errors(seed: int, subjects: int, faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of people with easy and difficult faces, and who they are of."""
+    rng = np.random.default_rng(seed)
+    difficulty = rng.lognormal(sigma=0.5, size=subjects)
+    owners = np.repeat(np.arange(subjects), faces)
+    return 0.05 * difficulty[owners] * rng.lognormal(sigma=0.3, size=owners.size), owners
+
+
+def test_bootstrap_is_scipys() -> None:
+    values = lognormal_errors(3, 60)
+    expected = stats.bootstrap(
+        (values,), np.mean, n_resamples=20_000, method="percentile", rng=np.random.default_rng(1)
+    ).confidence_interval
+    width = expected.high - expected.low
+    np.testing.assert_allclose(bootstrap_ci(values, samples=20_000), expected, atol=0.03 * width)
+    ninety = stats.norm.ppf(0.95) / stats.norm.ppf(0.975)
+    low, high = bootstrap_ci(values, samples=20_000, confidence=0.9)
+    assert high - low == pytest.approx(ninety * width, rel=0.05)
+
+
+def test_bootstrap_of_subjects_is_scipys_of_their_totals() -> None:
+    values, owners = clustered_errors(4, 30, 5)
+    values, owners = values[7:], owners[7:]  # one has no faces left, one has three
+    totals, faces = np.bincount(owners, values)[1:], np.bincount(owners)[1:]
+    expected = stats.bootstrap(
+        (totals, faces),
+        lambda totals, faces, axis: totals.sum(axis) / faces.sum(axis),
+        paired=True,
+        n_resamples=20_000,
+        method="percentile",
+        rng=np.random.default_rng(1),
+    ).confidence_interval
+    names = [f"person {owner}" for owner in owners]
+    width = expected.high - expected.low
+    np.testing.assert_allclose(bootstrap_ci(values, names, samples=20_000), expected, atol=0.03 * width)
+
+
+def test_intervals_are_of_contributions() -> None:
+    errors, owners = clustered_errors(5, 20, 4)
+    errors[3], errors[8] = np.inf, np.nan
+    for interval, measure, each in ((auc_ci, auc, areas), (failure_ci, failure_rate, failures)):
+        low, high = interval(errors, 0.06, owners)
+        assert low < measure(errors, 0.06) < high
+        assert (low, high) == bootstrap_ci(each(errors, 0.06), owners)
+        assert interval(errors, 0.06, owners, seed=1) != (low, high) == interval(errors, 0.06, owners, seed=0)
+
+
+@pytest.mark.parametrize(("interval", "true"), [(auc_ci, auc), (failure_ci, failure_rate)])
+def test_intervals_cover_the_truth(interval, true) -> None:
+    truth = true(lognormal_errors(100, 1_000_000))
+    intervals = np.array([interval(lognormal_errors(seed, 80), samples=600) for seed in range(300)])
+    covered = np.mean((intervals[:, 0] <= truth) & (truth <= intervals[:, 1]))
+    assert 0.9 <= covered <= 0.98
+
+
+def test_intervals_of_subjects_cover_the_truth_and_those_of_faces_do_not() -> None:
+    truth = auc(clustered_errors(100, 100_000, 10)[0])
+    covered = np.zeros(2)
+    for seed in range(300):
+        errors, owners = clustered_errors(seed, 40, 10)
+        for column, subjects in enumerate((owners, None)):
+            low, high = auc_ci(errors, subjects=subjects, samples=400)
+            covered[column] += low <= truth <= high
+    of_subjects, of_faces = covered / 300
+    assert 0.9 <= of_subjects <= 0.98
+    assert of_faces < 0.75
+
+
+def test_one_subject_a_face_is_no_subjects() -> None:
+    values = lognormal_errors(6, 30)
+    assert bootstrap_ci(values, np.arange(30)) == bootstrap_ci(values)
+
+
+def test_memory_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    values, owners = clustered_errors(7, 50, 2)
+    whole = bootstrap_ci(values, owners)
+    monkeypatch.setattr("jaxfit.evaluation.statistics._DRAWS", 700)
+    assert bootstrap_ci(values, owners) == whole
+
+
+def test_faces_without_values_are_left_out() -> None:
+    values, owners = clustered_errors(8, 12, 3)
+    gaps = values.copy()
+    gaps[[0, 1, 2, 10]] = np.nan  # all of one subject, and one of another
+    kept = ~np.isnan(gaps)
+    assert bootstrap_ci(gaps, owners) == bootstrap_ci(values[kept], owners[kept])
+    assert bootstrap_ci(gaps) == bootstrap_ci(values[kept])
+
+
+@pytest.mark.parametrize("values", [[], [np.nan, np.nan], [0.1], [0.1, np.nan]])
+def test_too_few_values_have_no_interval(values: list[float]) -> None:
+    assert np.isnan(bootstrap_ci(np.array(values))).all()
+    assert np.isnan(auc_ci(np.array(values))).all()
+
+
+def test_one_subject_has_no_interval() -> None:
+    assert np.isnan(bootstrap_ci(np.array([0.1, 0.2, 0.3]), ["Anna", "Anna", "Anna"])).all()
+    assert np.isnan(bootstrap_ci(np.array([0.1, 0.2, np.nan]), ["Anna", "Anna", "Ben"])).all()
+    assert np.isfinite(bootstrap_ci(np.array([0.1, 0.2, 0.3]), ["Anna", "Anna", "Ben"])).all()
+
+
+def test_no_failures_are_a_point() -> None:
+    assert failure_ci(np.full(10, 0.01)) == (0.0, 0.0)
+    assert failure_ci(np.full(10, np.inf)) == (1.0, 1.0)
+    assert auc_ci(np.full(10, np.inf)) == (0.0, 0.0)
+
+
+def test_bootstrap_refuses_wrong_arguments() -> None:
+    values = np.array([0.1, 0.2])
+    with pytest.raises(InputError, match="1 infinite"):
+        bootstrap_ci(np.array([0.1, np.inf]))
+    with pytest.raises(InputError, match=r"\(2, 2\)"):
+        bootstrap_ci(np.zeros((2, 2)))
+    with pytest.raises(InputError, match="subject of each of 2 faces; got 3"):
+        bootstrap_ci(values, ["a", "b", "c"])
+    for wrong in ({"confidence": 1.0}, {"samples": 0}, {"seed": -1}):
+        with pytest.raises(InputError, match="0 < confidence < 1"):
+            bootstrap_ci(values, **wrong)
