@@ -55,6 +55,8 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             name = folder / "faces" / part / f"face{number:03}"
             write_image(name.with_suffix(".png"), portrait[top:, left:])
             write_pts(name.with_suffix(".pts"), points - [left, top] + rng.normal(0, 1, points.shape))
+    (toml,) = blocks("toml")
+    (folder / "compare.toml").write_text(toml, encoding="utf-8")
     _write_aflw(folder / "aflw", portrait, convert(points, IBUG68, AFLW21))
     _write_aflw2000(folder / "AFLW2000", portrait, points)
     return folder
@@ -106,6 +108,7 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "results/faces.csv",
         "heads/heads.csv",
         "results-3d/report.json",
+        "runs/report/report.html",
     ):
         assert (folder / written).stat().st_size > 0
 

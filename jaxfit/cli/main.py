@@ -9,15 +9,17 @@ from pathlib import Path
 import jax
 
 import jaxfit
-from jaxfit.cli import evaluate, fit, train
+from jaxfit.cli import evaluate, experiments, fit, train
 from jaxfit.exceptions import JaxfitError
 
-_COMMANDS = (train, evaluate, fit)
+_COMMANDS = (train, evaluate, fit, experiments)
 
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
-    top = argparse.ArgumentParser(prog="jaxfit", description="Face landmarks by cascaded regression, in JAX.")
+    top = argparse.ArgumentParser(
+        prog="jaxfit", description="Face landmarks, 3D shape and head pose by cascaded regression, in JAX."
+    )
     top.add_argument("--version", action="version", version=f"jaxfit {jaxfit.__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     for module in _COMMANDS:

@@ -21,6 +21,7 @@ from jaxfit.types import Crop, Features, Point, Scalar
 
 if TYPE_CHECKING:
     import matplotlib.axes
+    import matplotlib.figure
 
 _MARGIN = 0.08  # around drawn faces, as a share of their size
 _SURROUNDINGS = 0.8  # how far a descriptor's figure reaches from the landmark, in sides of the window
@@ -48,7 +49,7 @@ def plot_ced(
     curves = {
         f"{name} (AUC {auc(errors, limit):.3f})": ced(errors, thresholds) for name, errors in errors_by_name.items()
     }
-    ax = ax if ax is not None else _pyplot().subplots()[1]
+    ax = ax if ax is not None else pyplot().subplots()[1]
     for label, shares in curves.items():
         ax.plot(thresholds, shares, label=label)
     ax.set(xlim=(0.0, limit), ylim=(0.0, 1.0), xlabel="NMED", ylabel="share of faces")
@@ -95,7 +96,7 @@ def plot_modes(
         raise InputError("expected at least one value of the coefficients, in standard deviations; got none")
     grid = (modes, len(sigmas))
     if axes is None:
-        axes = _pyplot().subplots(*grid, squeeze=False, figsize=(2.0 * grid[1], 1.8 * grid[0]), layout="constrained")[1]
+        axes = pyplot().subplots(*grid, squeeze=False, figsize=(2.0 * grid[1], 1.8 * grid[0]), layout="constrained")[1]
     elif axes.shape != grid:
         raise InputError(f"expected an array {grid} of axes, a row a mode and a column a sigma; got {axes.shape}")
 
@@ -108,8 +109,8 @@ def plot_modes(
     margin = _MARGIN * np.ptp(everything, 0).max()
     (left, top), (right, bottom) = everything.min(0) - margin, everything.max(0) + margin
     for (row, column), ax in np.ndenumerate(axes):
-        _draw_face(ax, mean, scheme, "0.8")
-        _draw_face(ax, faces[row, column], scheme, "C0")
+        draw_face(ax, mean, scheme, "0.8")
+        draw_face(ax, faces[row, column], scheme, "C0")
         ax.set(xlim=(left, right), ylim=(bottom, top), aspect="equal", xticks=[], yticks=[], frame_on=False)
         if row == 0:
             ax.set_title(f"{sigmas[column]:+g} σ".replace("-", "−"))
@@ -118,7 +119,8 @@ def plot_modes(
     return axes
 
 
-def _draw_face(ax: "matplotlib.axes.Axes", points: np.ndarray, scheme: Scheme, colour: str) -> None:
+def draw_face(ax: "matplotlib.axes.Axes", points: np.ndarray, scheme: Scheme, colour: str) -> None:
+    """Draw landmarks (L, 2) and the lines between them; what is NaN is left out."""
     for line in scheme.lines:
         ax.plot(*points[list(line)].T, color=colour, linewidth=1.2)
     ax.plot(*points.T, ".", color=colour, markersize=3)
@@ -159,7 +161,7 @@ def plot_descriptor(
         raise InputError(
             f"expected a finite point (x, y), a side > 0 and a finite angle; got {centre}, {side} and {angle}"
         )
-    ax = ax if ax is not None else _pyplot().subplots()[1]
+    ax = ax if ax is not None else pyplot().subplots()[1]
     landmark, face_angle = jnp.asarray(centre), jnp.float32(angle)
     values, turn = _described(sift, jnp.asarray(crop), landmark, jnp.float32(side), face_angle)
 
@@ -232,7 +234,7 @@ def plot_pose_surface(
         raise InputError("the pose grid has no face that was found and whose pose is known: there is nothing to draw")
     if ax is not None and ax.name != "3d":
         raise InputError(f'expected axes made with projection="3d"; got {ax.name} axes')
-    solid: Any = ax if ax is not None else _pyplot().subplots(subplot_kw={"projection": "3d"})[1]
+    solid: Any = ax if ax is not None else pyplot().subplots(subplot_kw={"projection": "3d"})[1]
     yaw, pitch = np.meshgrid(grid.yaws, grid.pitches)
     highest = float(grid.mean[known].max()) or 1.0  # all errors may be zero
     # Strides of 1: by default large grids are thinned.
@@ -247,7 +249,24 @@ def plot_pose_surface(
     return solid
 
 
-def _pyplot() -> ModuleType:
+def new_figure(width: float, height: float) -> "matplotlib.figure.Figure":
+    """An empty figure of so many inches that pyplot knows nothing of: it need not be closed.
+
+    Raises:
+        InputError: matplotlib is missing.
+    """
+    pyplot()
+    from matplotlib.figure import Figure
+
+    return Figure((width, height), layout="constrained")
+
+
+def pyplot() -> ModuleType:
+    """Matplotlib's pyplot, imported only where something is drawn.
+
+    Raises:
+        InputError: it is missing.
+    """
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:

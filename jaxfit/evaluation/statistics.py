@@ -84,6 +84,17 @@ def summarise(errors: np.ndarray, limit: float = LIMIT) -> Summary:
     )
 
 
+def both_measured(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (M,) of two methods on those of the same N faces that both could measure.
+
+    Args:
+        a: (N,) errors, NaN where not measured.
+        b: (N,) those of the other method.
+    """
+    measured = ~(np.isnan(a) | np.isnan(b))
+    return a[measured], b[measured]
+
+
 def rank_sum(a: np.ndarray, b: np.ndarray) -> float:
     """Two-sided p-value of the Wilcoxon rank-sum (Mann-Whitney) test: do errors (N,) and (M,) differ?
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxfit.evaluation.curves import LIMIT
-from jaxfit.evaluation.statistics import rank_sum, signed_rank, summarise
+from jaxfit.evaluation.statistics import both_measured, rank_sum, signed_rank, summarise
 
 Row = Mapping[str, object]
 
@@ -43,8 +43,7 @@ def comparison_row(errors: np.ndarray, baseline: np.ndarray) -> dict[str, object
         InputError: the errors are not vectors of one length.
     """
     paired_p = signed_rank(errors, baseline)
-    measured = ~(np.isnan(errors) | np.isnan(baseline))
-    errors, baseline = errors[measured], baseline[measured]
+    errors, baseline = both_measured(errors, baseline)
     with np.errstate(divide="ignore", invalid="ignore"):  # medians of no face, of failures, or zero
         difference = float(np.divide(summarise(errors).median, summarise(baseline).median)) - 1
     values = (errors.size, difference, rank_sum(errors, baseline), paired_p)
@@ -58,30 +57,32 @@ def text_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:
         rows: values by heading; a missing one, None or NaN shows as ``-``.
         columns: for each heading, in order, how its floats are formatted, such as ``.4f``; ``""`` for plain.
     """
-    lines = [list(columns), *_cells(rows, columns)]
+    lines = [list(columns), *format_cells(rows, columns)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     lines.insert(1, ["-" * width for width in widths])
-    formats = [f"{'>' if _is_numeric(rows, name) else '<'}{width}" for name, width in zip(columns, widths, strict=True)]
+    formats = [f"{'>' if is_numeric(rows, name) else '<'}{width}" for name, width in zip(columns, widths, strict=True)]
     return "\n".join("  ".join(map(format, line, formats)).rstrip() for line in lines)
 
 
 def markdown_table(rows: Sequence[Row], columns: Mapping[str, str]) -> str:
     """A Markdown table of the rows; see ``text_table`` for the arguments."""
-    rules = ["---:" if _is_numeric(rows, name) else "---" for name in columns]
-    lines = [list(columns), rules, *_cells(rows, columns)]
+    rules = ["---:" if is_numeric(rows, name) else "---" for name in columns]
+    lines = [list(columns), rules, *format_cells(rows, columns)]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
-def _cells(rows: Sequence[Row], columns: Mapping[str, str]) -> list[list[str]]:
+def format_cells(rows: Sequence[Row], columns: Mapping[str, str]) -> list[list[str]]:
+    """The text of each cell, row by row; see ``text_table`` for the arguments."""
     return [[_cell(row.get(name), spec) for name, spec in columns.items()] for row in rows]
+
+
+def is_numeric(rows: Sequence[Row], name: str) -> bool:
+    """Whether a column holds nothing but numbers, or misses them."""
+    values = [row.get(name) for row in rows]
+    return all(value is None or isinstance(value, int | float | np.number) for value in values)
 
 
 def _cell(value: object, spec: str) -> str:
     if isinstance(value, float | np.floating):
         return "-" if math.isnan(value) else format(float(value), spec)
     return "-" if value is None else str(value)
-
-
-def _is_numeric(rows: Sequence[Row], name: str) -> bool:
-    values = [row.get(name) for row in rows]
-    return all(value is None or isinstance(value, int | float | np.number) for value in values)

@@ -1,0 +1,311 @@
+"""What is to be run: a configuration, read from a TOML file and checked before any work."""
+
+import json
+import re
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.evaluation.errors import NORMALISERS
+from jaxfit.exceptions import InputError
+from jaxfit.experiments.thesis import THESIS
+from jaxfit.shapes.schemes import scheme_named
+from jaxfit.training import METHODS, Options, default_descriptor
+
+_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")
+_PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
+# Options of training that an experiment sets itself, or does not need: boxes of detectors are not measured.
+_NOT_OPTIONS = {"augmentations", "initialisations", "rotations", "haar", "seed"}
+
+
+@dataclass(frozen=True)
+class DatasetPlan:
+    """Faces that methods are cross-validated on.
+
+    Attributes:
+        name: of the dataset, in tables.
+        data: what it is made of, ``FORMAT:PATH`` as on the command line; paths are relative to the current folder.
+        scheme: convert all labels to this landmark scheme; None leaves them as they are.
+        thesis: which of the thesis's datasets to compare with, ``"AFLW"`` or ``"LFPW"``; None for neither.
+    """
+
+    name: str
+    data: tuple[str, ...]
+    scheme: str | None = None
+    thesis: str | None = None
+
+
+@dataclass(frozen=True)
+class MethodPlan:
+    """A way to find faces.
+
+    Attributes:
+        name: in tables.
+        method: one of ``jaxfit.training.METHODS``.
+        options: of training; the cells of the experiment set the augmentations.
+    """
+
+    name: str
+    method: str
+    options: Options
+
+    @property
+    def in_3d(self) -> bool:
+        """Whether errors are measured in 3D."""
+        return METHODS[self.method].in_3d
+
+
+@dataclass(frozen=True)
+class PosePlan:
+    """What 3D methods are tested on for pose.
+
+    Attributes:
+        train: what they learn from, all of it, ``FORMAT:PATH``.
+        test: with labelled poses; no face of it is learned from.
+        scheme: convert the labels of ``train`` to this landmark scheme.
+    """
+
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+    scheme: str | None = None
+
+
+@dataclass(frozen=True)
+class Config:
+    """An experiment.
+
+    Attributes:
+        datasets: what methods are cross-validated on; may be empty where only pose is tested.
+        methods: what is compared.
+        augmentations: starts drawn for each face in training, the columns of the grid (Appendices A, B).
+        initialisations: starts of a fit (Appendix C).
+        chosen_augmentations: one of ``augmentations``: the models that are compared, timed and looked at.
+        chosen_steps: how many steps of them.
+        folds: of the cross-validation, split by subject.
+        repetitions: how often the set of faces that is timed is fitted.
+        timed_faces: how many faces are timed.
+        normaliser: what errors are divided by.
+        seed: of folds, boxes and starts.
+        pose: the test of pose, if there shall be one.
+    """
+
+    datasets: tuple[DatasetPlan, ...]
+    methods: tuple[MethodPlan, ...]
+    augmentations: tuple[int, ...] = (1, 5, 10, 15, 20, 25)
+    initialisations: tuple[int, ...] = (1, 3, 5, 7, 9, 11)
+    chosen_augmentations: int = 15
+    chosen_steps: int = 6
+    folds: int = 10
+    repetitions: int = 32
+    timed_faces: int = 64
+    normaliser: str = "outer"
+    seed: int = 0
+    pose: PosePlan | None = field(default=None)
+
+    def __post_init__(self) -> None:
+        if not self.methods or not (self.datasets or self.pose):
+            raise InputError("expected one method or more, [methods.NAME], and a dataset, [datasets.NAME], or [pose]")
+        if self.chosen_augmentations not in self.augmentations or not 1 <= self.chosen_steps <= self.steps:
+            raise InputError(
+                f"[chosen]: expected augmentations among {list(self.augmentations)} and steps from 1 to {self.steps} "
+                f"(one window a step); got {self.chosen_augmentations} and {self.chosen_steps}"
+            )
+        if any(len(plan.options.windows) != self.steps for plan in self.methods):
+            raise InputError("expected as many windows, one a step, for all methods")
+        if min(*self.augmentations, self.folds - 1, self.repetitions, self.timed_faces) < 1 or self.seed < 0:
+            raise InputError("expected augmentations, repetitions and timed_faces >= 1, folds >= 2 and a seed >= 0")
+        if any(count < 1 or count == 2 for count in self.initialisations):
+            raise InputError(f"initialisations: expected one, or three or more, each; got {list(self.initialisations)}")
+        if self.normaliser not in NORMALISERS:
+            raise InputError(f"normaliser: expected one of {', '.join(NORMALISERS)}; got {self.normaliser!r}")
+        if self.pose and not any(plan.in_3d for plan in self.methods):
+            raise InputError("[pose]: expected a 3D method among the methods; there is none")
+
+    @property
+    def steps(self) -> int:
+        """How many steps the cascades have: the rows of the grid."""
+        return len(self.methods[0].options.windows)
+
+    def method(self, name: str) -> MethodPlan:
+        """The method of a name."""
+        return next(plan for plan in self.methods if plan.name == name)
+
+    def as_json(self) -> dict[str, Any]:
+        """The values, JSON's own, that `config_from` makes the same configuration of."""
+        plans = {plan.name: _without(asdict(plan), {"name"}) for plan in self.datasets}
+        pose = {} if self.pose is None else {"pose": _without(asdict(self.pose), set())}
+        methods = {
+            plan.name: {"method": plan.method, **_without(vars(plan.options), _NOT_OPTIONS)} for plan in self.methods
+        }
+        for values in methods.values():
+            values |= {key: vars(values[key]) for key in ("descriptor", "frame") if key in values}
+        chosen = {"augmentations": self.chosen_augmentations, "steps": self.chosen_steps}
+        values = {key: getattr(self, key) for key in _PLAIN} | {"chosen": chosen, "datasets": plans, "methods": methods}
+        return json.loads(json.dumps({**values, **pose}))
+
+
+def read_config(path: str | Path) -> Config:
+    """The configuration in a TOML file.
+
+    Raises:
+        InputError: it cannot be read, or something in it is unknown, missing or out of range.
+    """
+    path = Path(path)
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a configuration in TOML") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is not TOML: {error}") from None
+    try:
+        return config_from(values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def config_from(values: Mapping[str, Any]) -> Config:
+    """The configuration that a TOML file's values make.
+
+    Raises:
+        InputError: something is unknown, missing or out of range.
+    """
+    values = dict(values)
+    _require_known("", values, {*_PLAIN, "chosen", "training", "datasets", "methods", "pose"})
+    chosen = _table(values, "chosen")
+    _require_known("[chosen]", chosen, {"augmentations", "steps"})
+    top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
+    usual = Options(haar=False, seed=max(0, top.get("seed", Config.seed)))
+    training, methods = _table(values, "training"), _table(values, "methods")
+    return Config(
+        datasets=tuple(_dataset(name, _table(values["datasets"], name)) for name in _table(values, "datasets")),
+        methods=tuple(_method(name, {**training, **_table(methods, name)}, usual) for name in methods),
+        **top,
+        **{f"chosen_{key}": _like(0, f"[chosen] {key}", value) for key, value in chosen.items()},
+        pose=_pose(_table(values, "pose")) if "pose" in values else None,
+    )
+
+
+def _dataset(name: str, values: Mapping[str, Any]) -> DatasetPlan:
+    where = f"[datasets.{name}]"
+    _require_known(where, values, {"data", "scheme", "thesis"})
+    plan = DatasetPlan(name, _specs(where, values, "data"), _scheme(where, values), values.get("thesis"))
+    if plan.thesis not in (None, *THESIS["errors"]):
+        raise InputError(f"{where} thesis: expected one of {', '.join(THESIS['errors'])}; got {plan.thesis!r}")
+    _require_name(where, name)
+    return plan
+
+
+def _method(name: str, values: Mapping[str, Any], usual: Options) -> MethodPlan:
+    where = f"[methods.{name}]"
+    values = dict(values)
+    method = values.pop("method", name)
+    if method not in METHODS:
+        raise InputError(f"{where}: expected method = one of {', '.join(METHODS)}; got {method!r}")
+    _require_name(where, name)
+    return MethodPlan(name, method, _options(where, usual, default_descriptor(method, 1), values))
+
+
+def _pose(values: Mapping[str, Any]) -> PosePlan:
+    _require_known("[pose]", values, {"train", "test", "scheme"})
+    plan = PosePlan(_specs("[pose]", values, "train"), _specs("[pose]", values, "test"), _scheme("[pose]", values))
+    formats = [spec.partition(":")[0] for spec in plan.test]
+    if len(set(formats)) < len(formats):
+        raise InputError(f"[pose] test: expected datasets of different formats, which name them; got {list(plan.test)}")
+    return plan
+
+
+def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping[str, Any]) -> Options:
+    """The usual options, and descriptor, with what a table says about training."""
+    _require_known(where, values, {each.name for each in fields(Options)} - _NOT_OPTIONS)
+    changed: dict[str, Any] = {}
+    for key, value in values.items():
+        if key in ("descriptor", "frame"):
+            part: Any = descriptor if key == "descriptor" else usual.frame
+            table = _table(values, key)
+            _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
+            parts = {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()}
+            changed[key] = _checked(where, part, parts)
+        else:
+            changed[key] = _like(getattr(usual, key), f"{where} {key}", value)
+    return _checked(where, usual, changed)
+
+
+def _checked(where: str, thing: Any, changed: Mapping[str, Any]) -> Any:
+    """A dataclass with some fields changed.
+
+    Raises:
+        InputError: it refuses them.
+    """
+    try:
+        return replace(thing, **changed)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _like(default: Any, where: str, value: Any) -> Any:
+    """The value, which must be of the same kind as the default."""
+    if isinstance(default, tuple) and isinstance(value, list) and value:
+        return tuple(_like(default[0], where, each) for each in value)
+    if isinstance(value, int) and not isinstance(value, bool) and (default is None or isinstance(default, float)):
+        return float(value)
+    kind = float if default is None else type(default)
+    if type(value) is not kind:
+        example = list(default) if isinstance(default, tuple) else default
+        raise InputError(f"{where}: expected something like {example}; got {value!r}")
+    return value
+
+
+def _table(values: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """The table of a name; empty if there is none."""
+    table = values.get(key, {})
+    if not isinstance(table, dict):
+        raise InputError(f"{key}: expected a table, [{key}]; got {table!r}")
+    return table
+
+
+def _specs(where: str, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    specs = values.get(key)
+    if not (isinstance(specs, list) and specs and all(isinstance(spec, str) for spec in specs)):
+        raise InputError(f'{where} {key}: expected a list of "FORMAT:PATH"; got {specs!r}')
+    return tuple(specs)
+
+
+def _scheme(where: str, values: Mapping[str, Any]) -> str | None:
+    if "scheme" not in values:
+        return None
+    try:
+        return scheme_named(str(values["scheme"])).name
+    except InputError as error:
+        raise InputError(f"{where} scheme: {error}") from None
+
+
+def _require_name(where: str, name: str) -> None:
+    """Check that a name can go into file names, of reports too.
+
+    Raises:
+        InputError: it cannot.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"{where}: expected a name of letters and digits with single '.', '_' or '-' between them, as it goes into "
+            f"file names; got {name!r}"
+        )
+
+
+def _without(values: Mapping[str, Any], left_out: set[str]) -> dict[str, Any]:
+    """Values by name, less those named and those that are not set."""
+    return {key: value for key, value in values.items() if key not in left_out and value is not None}
+
+
+def _require_known(where: str, values: Mapping[str, Any], known: Iterable[str]) -> None:
+    """Check that a table has no other keys than these.
+
+    Raises:
+        InputError: it has.
+    """
+    for key in values:
+        if key not in known:
+            raise InputError(f"{where} unknown key {key!r}; expected some of {', '.join(sorted(known))}".strip())

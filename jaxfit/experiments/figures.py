@@ -1,0 +1,115 @@
+"""Figures of an experiment: errors over the grid and over initialisations, and fitted faces."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxfit.evaluation.plots import draw_face, new_figure, pyplot
+from jaxfit.evaluation.statistics import summarise
+from jaxfit.shapes.schemes import Scheme
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+TRUTH, FIT = "red", "cyan"  # as in the thesis
+
+
+def mean_and_ci(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means (...) of errors (..., N) over fitted faces, and half the widths of their 95 % confidence intervals."""
+    summaries = [summarise(each) for each in errors.reshape(-1, errors.shape[-1])]
+    shape = errors.shape[:-1]
+    return (
+        np.array([summary.mean for summary in summaries]).reshape(shape),
+        np.array([summary.ci95 for summary in summaries]).reshape(shape),
+    )
+
+
+def plot_grid(
+    grids: Mapping[str, np.ndarray], augmentations: Sequence[int], error: str = "NMED"
+) -> "matplotlib.figure.Figure":
+    """Mean errors and their 95 % confidence intervals over steps, a panel a method (Figures 12, 13, 15 and 16).
+
+    Args:
+        grids: by method, (steps, augmentations, N) errors.
+        augmentations: of the second axis; a line each.
+        error: what is measured.
+    """
+    figure = new_figure(5.2 * len(grids), 4.0)
+    axes = figure.subplots(1, len(grids), sharey=True, squeeze=False)
+    colours = pyplot().colormaps["viridis"](np.linspace(0.05, 0.85, len(augmentations)))
+    for ax, (name, errors) in zip(axes[0], grids.items(), strict=True):
+        means, widths = mean_and_ci(errors)
+        steps = np.arange(1, len(errors) + 1)
+        for column, count in enumerate(augmentations):
+            mean, width = means[:, column], widths[:, column]
+            ax.plot(steps, mean, ".-", color=colours[column], label=str(count))
+            ax.fill_between(steps, mean - width, mean + width, color=colours[column], alpha=0.12, linewidth=0)
+        ax.set(xlabel="steps", title=name, xticks=steps)
+        ax.grid(alpha=0.3)
+    axes[0, 0].set_ylabel(f"mean {error}")
+    axes[0, -1].legend(title="augmentations")
+    return figure
+
+
+def plot_starts(
+    starts: Mapping[str, np.ndarray],
+    counts: Sequence[int],
+    thesis: Mapping[str, Sequence[float]],
+    thesis_counts: Sequence[int],
+    error: str = "NMED",
+) -> "matplotlib.figure.Figure":
+    """Mean errors and their 95 % confidence intervals over the number of initialisations (Figures 14 and 17).
+
+    Args:
+        starts: by method, (initialisations, N) errors.
+        counts: of the first axis.
+        thesis: by method, the thesis's means, drawn dashed; of methods that it has.
+        thesis_counts: what they belong to.
+        error: what is measured.
+    """
+    figure = new_figure(6.5, 4.0)
+    ax = figure.subplots()
+    for number, (name, errors) in enumerate(starts.items()):
+        mean, width = mean_and_ci(errors)
+        ax.errorbar(counts, mean, width, fmt="o-", capsize=3, color=f"C{number}", label=name)
+        if name in thesis:
+            ax.plot(thesis_counts, thesis[name], "--", color=f"C{number}", alpha=0.5, label=f"{name}, thesis")
+    ax.set(xlabel="initialisations", ylabel=f"mean {error}", xticks=counts)
+    ax.grid(alpha=0.3)
+    ax.legend()
+    return figure
+
+
+def plot_fits(
+    pictures: Sequence[np.ndarray | None],
+    truths: Sequence[np.ndarray],
+    fits: Mapping[str, Sequence[np.ndarray]],
+    titles: Sequence[str],
+    scheme: Scheme,
+) -> "matplotlib.figure.Figure":
+    """Fitted faces, a row a method: labels in red and fits in cyan (Figures 22 and 23).
+
+    Args:
+        pictures: F square pictures, uint8 (S, S) or (S, S, 3); None for an empty ground.
+        truths: their labels (L, 2), in pixels of the pictures.
+        fits: by method, what was found.
+        titles: of the columns.
+        scheme: which points lines join.
+    """
+    shape = (len(fits), len(pictures))
+    figure = new_figure(1.7 * shape[1] + 0.4, 1.8 * shape[0] + 0.3)
+    axes = figure.subplots(*shape, squeeze=False)
+    for row, (name, found) in zip(axes, fits.items(), strict=True):
+        row[0].set_ylabel(name)
+        for ax, picture, truth, fit in zip(row, pictures, truths, found, strict=True):
+            side = 100 if picture is None else len(picture)
+            if picture is not None:
+                ax.imshow(picture, cmap="gray", vmin=0, vmax=255)
+            draw_face(ax, truth, scheme, TRUTH)
+            draw_face(ax, fit, scheme, FIT)
+            ax.set(xlim=(0, side), ylim=(side, 0), aspect="equal", xticks=[], yticks=[])
+    for ax, title in zip(axes[0], titles, strict=True):
+        ax.set_title(title, fontsize=9)
+    return figure

@@ -1,0 +1,220 @@
+"""What the cells of an experiment share: faces, folds, pictures in memory, models, and where things are kept."""
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from jaxfit.aligning import align_labels
+from jaxfit.data.datasets import convert_dataset, read_dataset
+from jaxfit.data.images import GreyPictures
+from jaxfit.data.outputs import atomic_write
+from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.evaluating import start_boxes
+from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.exceptions import InputError
+from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan
+from jaxfit.models.files import load, save
+from jaxfit.models.heads import load_head
+from jaxfit.models.model import Model
+from jaxfit.shapes.schemes import Scheme, scheme_named
+from jaxfit.training import METHODS, Options, default_descriptor
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Faces:
+    """The faces of a dataset that methods are compared on: those with all landmarks.
+
+    Attributes:
+        scheme: what the landmarks mean.
+        records: the N faces.
+        subjects: of each; no subject is in two folds.
+        folds: (N,) the fold that each is tested in.
+        boxes: (N, 4) that their fits start from, in pixels.
+        problems: what could not be read.
+    """
+
+    scheme: Scheme
+    records: tuple[FaceRecord, ...]
+    subjects: tuple[str, ...]
+    folds: np.ndarray
+    boxes: np.ndarray
+    problems: tuple[str, ...]
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """(N, L, 2) labels, in pixels."""
+        return np.stack([face.landmarks for face in self.records])
+
+    def tested(self, fold: int) -> np.ndarray:
+        """Numbers of the faces in a fold."""
+        return np.flatnonzero(self.folds == fold)
+
+    def learned(self, fold: int) -> np.ndarray:
+        """Numbers of the faces in all others."""
+        return np.flatnonzero(self.folds != fold)
+
+    def chosen(self, numbers: np.ndarray) -> list[FaceRecord]:
+        """Faces by their numbers."""
+        return [self.records[number] for number in numbers]
+
+
+class Lab:
+    """An experiment's shared things.
+
+    Args:
+        config: what is run.
+        folder: where results are kept.
+    """
+
+    def __init__(self, config: Config, folder: Path):
+        self.config = config
+        self.folder = folder
+        self.pictures = GreyPictures()
+
+    @cached_property
+    def faces(self) -> dict[str, Faces]:
+        """The faces of each dataset.
+
+        Raises:
+            InputError, DatasetError: a dataset cannot be read or converted, or has too few subjects.
+        """
+        return {plan.name: self._read(plan) for plan in self.config.datasets}
+
+    def _read(self, plan: DatasetPlan) -> Faces:
+        datasets = read_all(plan.data, plan.scheme)
+        scheme = same_scheme(datasets)
+        complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
+        # By folder, so that folds do not depend on where the data lie.
+        names = [Path(dataset.spec.partition(":")[2]).name for dataset, _ in complete]
+        subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
+        records = tuple(face for _, face in complete)
+        return Faces(
+            scheme,
+            records,
+            subjects,
+            split_by_subject(subjects, self.config.folds, self.config.seed),
+            start_boxes(records, self.config.seed),
+            tuple(problem for dataset in datasets for problem in dataset.problems),
+        )
+
+    def result(self, name: str) -> Path:
+        """The file of a cell's results."""
+        return self.folder / "cells" / f"{name}.npz"
+
+    def save_result(self, name: str, arrays: dict[str, np.ndarray]) -> None:
+        """Keep a cell's results, whole or not at all."""
+        save_arrays(self.result(name), arrays)
+
+    def load_model(self, name: str) -> Model:
+        """The model that a cell kept."""
+        return load(self._model(name))
+
+    def save_model(self, name: str, model: Model) -> None:
+        """Keep a model, whole or not at all."""
+        self._model(name).parent.mkdir(parents=True, exist_ok=True)
+        save(model, self._model(name))
+
+    def _model(self, name: str) -> Path:
+        return self.folder / "models" / f"{name}.safetensors"
+
+    def write_faces(self) -> None:
+        """Keep what is known of the faces, for reports."""
+        for name, faces in self.faces.items():
+            path = self.folder / "datasets" / f"{name}.npz"
+            if not path.exists():
+                save_arrays(path, _described(faces))
+
+
+def read_all(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
+    """Datasets, with labels converted to the scheme of a name if one is given.
+
+    Raises:
+        InputError, DatasetError: one cannot be read or converted.
+    """
+    datasets = [read_dataset(spec) for spec in specs]
+    return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
+
+
+def same_scheme(datasets: Sequence[Dataset]) -> Scheme:
+    """The landmark scheme that all datasets have.
+
+    Raises:
+        InputError: they have several.
+    """
+    schemes = {dataset.scheme.name: dataset.scheme for dataset in datasets}
+    if len(schemes) > 1:
+        raise InputError(f"expected datasets of one landmark scheme; got {', '.join(schemes)}; scheme converts some")
+    return next(iter(schemes.values()))
+
+
+def cascades(methods: Sequence[MethodPlan]) -> list[tuple[MethodPlan, ...]]:
+    """Methods that one training serves, together: 3D alignment learns the cascade of the parametric method."""
+    groups: list[list[MethodPlan]] = []
+    for plan in methods:
+        for group in groups:
+            heads = {other.options.head for other in [*group, plan] if other.in_3d}
+            if len(heads) <= 1 and _cascade(plan) == _cascade(group[0]):
+                group.append(plan)
+                break
+        else:
+            groups.append([plan])
+    return [tuple(group) for group in groups]
+
+
+def _cascade(plan: MethodPlan) -> tuple[object, Options]:
+    """What makes the cascade of a method."""
+    descriptor = plan.options.descriptor or default_descriptor(plan.method, 1)
+    return METHODS[plan.method].learn_space, replace(plan.options, descriptor=descriptor, head="")
+
+
+def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write arrays, none of them of objects, as NumPy's npz, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a file of `save_arrays`.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (ValueError, OSError, EOFError, KeyError, BadZipFile) as error:
+        raise InputError(f"{path}: is damaged ({error}); delete it and run the experiment again") from None
+
+
+def _described(faces: Faces) -> dict[str, np.ndarray]:
+    """What a report needs of the faces."""
+    labelled = np.array([[np.nan] * 3 if face.pose is None else face.pose for face in faces.records])
+    return {
+        "face": np.array([face.face for face in faces.records]),
+        "subject": np.array(faces.subjects),
+        "image": np.array([os.path.abspath(face.image) for face in faces.records]),
+        "fold": faces.folds,
+        "box": faces.boxes,
+        "landmarks": faces.landmarks,
+        "pose": np.where(np.isnan(labelled), _aligned_pose(faces), labelled),
+        "scheme": np.array(faces.scheme.name),
+        "problems": np.array(faces.problems, str),
+    }
+
+
+def _aligned_pose(faces: Faces) -> np.ndarray:
+    """(N, 3) roll, pitch and yaw in degrees that the labels tell; NaN without a head model of them."""
+    try:
+        model = load_head().of(faces.scheme, 0.99)
+    except InputError:
+        return np.full((len(faces.records), 3), np.nan)
+    aligned = align_labels(model, faces.landmarks)
+    return np.where(aligned.ok[:, None], aligned.pose, np.nan)

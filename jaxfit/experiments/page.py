@@ -1,0 +1,159 @@
+"""A report as files: a page for browsers that needs nothing else, and its tables and figures on their own."""
+
+import base64
+import importlib.resources
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxfit.data.outputs import atomic_write
+from jaxfit.evaluation.tables import format_cells, is_numeric
+from jaxfit.exceptions import InputError
+from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Table
+from jaxfit.experiments.figure_files import write_figure
+from jaxfit.experiments.markdown_file import markdown_text
+from jaxfit.experiments.table_files import write_table
+
+if TYPE_CHECKING:
+    import jinja2
+
+_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")  # a file's on every system
+_WIDE_FIGURE = 8.5  # inches; narrower figures may stand side by side
+
+
+def write_document(document: Document, folder: Path) -> None:
+    """Write a report: ``report.html``, ``report.md``, and the files of its tables (CSV, LaTeX) and figures (SVG, PNG).
+
+    ``report.html`` needs no other file and no network. The others are ``tables/NAME.csv``, ``tables/NAME.tex``,
+    ``figures/NAME.svg`` and ``figures/NAME.png``. The same document gives the same bytes. Figures are closed.
+
+    Args:
+        document: the report.
+        folder: where to; it is made if need be, and other files in it stay.
+
+    Raises:
+        InputError: jinja2 is missing, or the names of tables or figures are not file names or not unique.
+    """
+    template = _template()
+    for kind in (Table, Figure):
+        _check_names([part.name for section in document.sections for part in section.parts if isinstance(part, kind)])
+    for name in ("tables", "figures"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    sections = [
+        {"title": section.title, "text": section.text, "parts": [_part(part, folder) for part in section.parts]}
+        for section in document.sections
+    ]
+    with atomic_write(folder / "report.html", "w") as file:
+        file.write(template.render(title=document.title, about=document.about, sections=sections))
+    with atomic_write(folder / "report.md", "w") as file:
+        file.write(markdown_text(document))
+
+
+def _template() -> "jinja2.Template":
+    try:
+        import jinja2
+    except ImportError as error:
+        raise InputError('reports need jinja2: pip install "jaxfit[experiments]"') from error
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    source = importlib.resources.files("jaxfit.experiments").joinpath("report.html.jinja")
+    return environment.from_string(source.read_text(encoding="utf-8"))
+
+
+def _check_names(names: list[str]) -> None:
+    seen = set()
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise InputError(
+                f"the names of tables and figures name files: expected letters and digits with single '.', '_' or '-' "
+                f"between them; got {name!r}"
+            )
+        if name.casefold() in seen:  # some file systems do not tell case
+            raise InputError(f"two tables or two figures are called {name}; give each a name of its own")
+        seen.add(name.casefold())
+
+
+def _part(part: Table | Figure | Gallery, folder: Path) -> dict[str, Any]:
+    """What the template shows of a part, whose files are written."""
+    if isinstance(part, Table):
+        write_table(part, folder / "tables")
+        return _table(part)
+    if isinstance(part, Figure):
+        basis = "100%" if part.figure.get_figwidth() > _WIDE_FIGURE else "26rem"
+        svg = write_figure(part, folder / "figures")
+        return {"kind": "figure", "name": part.name, "title": part.title, "note": part.note, "svg": svg, "basis": basis}
+    return _gallery(part)
+
+
+def _table(table: Table) -> dict[str, Any]:
+    cells = format_cells(table.rows, table.columns)
+    lengths = [max(map(len, column)) + 2 for column in zip(table.columns, *cells, strict=True)]  # with a gap
+    return {
+        "kind": "table",
+        "name": table.name,
+        "title": table.title,
+        "note": table.note,
+        "basis": f"{2 + sum(lengths) / 2:g}rem",  # about as wide as its letters
+        "columns": [(heading, is_numeric(table.rows, heading)) for heading in table.columns],
+        "rows": [
+            [(text, _sort_key(row.get(heading), text)) for text, heading in zip(texts, table.columns, strict=True)]
+            for texts, row in zip(cells, table.rows, strict=True)
+        ],
+    }
+
+
+def _sort_key(value: object, text: str) -> str | None:
+    """What a cell is sorted by, in the spelling of JavaScript; None if it misses its value."""
+    if value is None or (isinstance(value, float | np.floating) and math.isnan(value)):
+        return None
+    if isinstance(value, int | float | np.number):
+        return repr(float(value)).replace("inf", "Infinity")
+    return text
+
+
+def _gallery(gallery: Gallery) -> dict[str, Any]:
+    datasets = list(dict.fromkeys(face.dataset for face in gallery.faces))
+    methods = list(dict.fromkeys(method for face in gallery.faces for method in (*face.errors, *face.fits)))
+    return {
+        "kind": "gallery",
+        "title": gallery.title,
+        "note": gallery.note,
+        "basis": "100%",
+        "data": {
+            "datasets": datasets,
+            "methods": methods,
+            "lines": [gallery.lines.get(dataset, ()) for dataset in datasets],
+            "faces": [_gallery_face(face, datasets, methods) for face in gallery.faces],
+        },
+    }
+
+
+def _gallery_face(face: GalleryFace, datasets: list[str], methods: list[str]) -> dict[str, Any]:
+    return {
+        "dataset": datasets.index(face.dataset),
+        "name": face.face,
+        "size": face.size,
+        "jpeg": None if face.jpeg is None else base64.b64encode(face.jpeg).decode("ascii"),
+        "truth": _tenths(face.truth),
+        "fits": {methods.index(method): _tenths(points) for method, points in face.fits.items()},
+        "errors": {methods.index(method): _json_number(error, 7) for method, error in face.errors.items()},
+        "yaw": _json_number(face.yaw, 1),
+        "pitch": _json_number(face.pitch, 1),
+    }
+
+
+def _tenths(points: np.ndarray) -> list[int | None]:
+    """Points (L, 2) as x, y, x, y, ... in tenths of pixels; None where unknown."""
+    return [round(10 * value) if math.isfinite(value) else None for value in points.astype(float).ravel().tolist()]
+
+
+def _json_number(value: float, digits: int) -> float | str | None:
+    """A number that JSON can hold: NaN is null, and infinity is spelt as JavaScript reads it."""
+    if math.isnan(value):
+        return None
+    return round(float(value), digits) if math.isfinite(value) else "Infinity"

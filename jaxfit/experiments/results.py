@@ -1,0 +1,173 @@
+"""What an experiment has found so far, put together from its cells."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.experiments.cells import Grid, Pose, Starts, Times, plan, several
+from jaxfit.experiments.config import Config, config_from
+from jaxfit.experiments.lab import load_arrays
+from jaxfit.experiments.run import SETTINGS
+from jaxfit.shapes.schemes import Scheme, scheme_named
+
+Arrays = Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class DatasetResults:
+    """What is known of the methods on one dataset's N faces; errors of 3D methods are those in 3D.
+
+    Attributes:
+        name: of the dataset.
+        thesis: its counterpart in the thesis, or None.
+        scheme: what landmarks mean.
+        faces: arrays of N: ``face``, ``subject``, ``image`` (paths), ``box``, ``landmarks``, ``pose``, ``fold``.
+        grid: by method, (steps, augmentations, N) errors; ``inf`` is a failure, NaN not measured or not yet run.
+        starts: by method, (initialisations, N) errors.
+        fits: by method, (N, L, 2) landmarks that the chosen models find, NaN where there are none.
+        seconds: by method, (repetitions,) seconds a face; empty if not yet timed.
+        timed: how the timing was done: ``faces``, ``cores`` and the machine's ``load`` before; empty if not yet.
+    """
+
+    name: str
+    thesis: str | None
+    scheme: Scheme
+    faces: Arrays
+    grid: Mapping[str, np.ndarray]
+    starts: Mapping[str, np.ndarray]
+    fits: Mapping[str, np.ndarray]
+    seconds: Mapping[str, np.ndarray]
+    timed: Mapping[str, float]
+
+    def errors(self, method: str, config: Config) -> np.ndarray:
+        """(N,) errors of the chosen models."""
+        chosen = config.augmentations.index(config.chosen_augmentations)
+        return self.grid[method][config.chosen_steps - 1, chosen]
+
+
+@dataclass(frozen=True)
+class PoseResults:
+    """Poses that 3D methods found, in degrees.
+
+    Attributes:
+        name: of the dataset.
+        truth: (N, 3) labelled roll, pitch and yaw.
+        fitted: by method, (N, 3).
+    """
+
+    name: str
+    truth: np.ndarray
+    fitted: Mapping[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything.
+
+    Attributes:
+        config: what was asked for.
+        datasets: in its order.
+        pose: likewise.
+        cells: number of cells.
+        missing: how many of them are not run yet.
+        hours: that the others took, of one process.
+        problems: what went wrong in them, each once.
+    """
+
+    config: Config
+    datasets: tuple[DatasetResults, ...]
+    pose: tuple[PoseResults, ...]
+    cells: int
+    missing: int
+    hours: float
+    problems: tuple[str, ...]
+
+
+def read_results(folder: Path) -> Results:
+    """The results in the folder of an experiment.
+
+    Raises:
+        InputError: a file is damaged.
+    """
+    values = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
+    sizes = values.pop("faces", {})
+    config = config_from(values)
+    cells = plan(config)
+    done = {
+        cell.name: (cell, load_arrays(path))
+        for cell in cells
+        if (path := folder / "cells" / f"{cell.name}.npz").exists()
+    }
+    datasets = []
+    for dataset in config.datasets:
+        faces = load_arrays(folder / "datasets" / f"{dataset.name}.npz")
+        scheme = scheme_named(str(faces["scheme"]))
+        found = _Found(config, sizes[dataset.name], scheme)
+        for cell, arrays in done.values():
+            if not isinstance(cell, Pose) and getattr(cell, "dataset", None) == dataset.name:
+                found.add(cell, arrays)
+        datasets.append(
+            DatasetResults(
+                dataset.name,
+                dataset.thesis,
+                scheme,
+                faces,
+                found.grid,
+                found.starts,
+                found.fits,
+                found.seconds,
+                found.timed,
+            )
+        )
+    pose = tuple(
+        PoseResults(
+            cell.name.partition("/")[2],
+            arrays["pose"],
+            {method.name: arrays[f"{method.name}.pose"] for group in cell.groups for method in group},
+        )
+        for cell, arrays in done.values()
+        if isinstance(cell, Pose)
+    )
+    told = [*(dataset.faces for dataset in datasets), *(arrays for _, arrays in done.values())]
+    problems = dict.fromkeys(str(why) for arrays in told for why in arrays.get("problems", ()))
+    hours = sum(float(arrays["seconds"]) for _, arrays in done.values()) / 3600
+    return Results(config, tuple(datasets), pose, len(cells), len(cells) - len(done), hours, tuple(problems))
+
+
+class _Found:
+    """The results of one dataset, filled cell by cell."""
+
+    def __init__(self, config: Config, count: int, scheme: Scheme):
+        names = [method.name for method in config.methods]
+        sizes = (config.steps, len(config.augmentations), count)
+        self.config = config
+        self.grid = {name: np.full(sizes, np.nan) for name in names}
+        self.starts = {name: np.full((len(config.initialisations), count), np.nan) for name in names}
+        self.fits = {name: np.full((count, scheme.count, 2), np.nan) for name in names}
+        self.seconds = {name: np.empty(0) for name in names}
+        self.timed: dict[str, float] = {}
+
+    def add(self, cell: object, arrays: Arrays) -> None:
+        """Put a cell's results where they belong."""
+        if isinstance(cell, Times):
+            self.seconds = {name: arrays[f"{name}.seconds"] for name in self.seconds}
+            self.timed = {key: float(arrays[key]) for key in ("faces", "cores", "load")}
+            return
+        assert isinstance(cell, Grid | Starts), "no other cells are of a dataset"
+        rows = arrays["rows"]
+        for method in cell.methods:
+            errors = arrays["errors_3d" if method.in_3d else "errors"]
+            if isinstance(cell, Starts):
+                at = [self.config.initialisations.index(count) for count in several(self.config)]
+                self.starts[method.name][np.ix_(np.array(at), rows)] = errors
+                continue
+            column = self.config.augmentations.index(cell.augmentations)
+            self.grid[method.name][:, column, rows] = errors
+            if cell.augmentations == self.config.chosen_augmentations:
+                self.fits[method.name][rows] = arrays["landmarks"]
+                if 1 in self.config.initialisations:
+                    single = self.config.initialisations.index(1)
+                    self.starts[method.name][single, rows] = errors[self.config.chosen_steps - 1]

@@ -1,0 +1,117 @@
+"""Configurations: what a file says is what is run, and what it says wrongly is told."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from jaxfit.exceptions import InputError
+from jaxfit.experiments.config import config_from, read_config
+
+TEXT = """
+folds = 3
+augmentations = [1, 4]
+initialisations = [1, 3]
+normaliser = "box"
+seed = 7
+[chosen]
+augmentations = 4
+steps = 2
+[training]
+windows = [0.5, 0.3]
+mirror = false
+descriptor = {normalisation = "cell"}
+frame = {crop = 64, face = 36}
+[datasets.faces]
+data = ["pts:a", "pts:b"]
+scheme = "aflw21"
+thesis = "AFLW"
+[methods.sdm]
+[methods.narrow]
+method = "parametric"
+sigmas = 3
+[methods.regression3d]
+[pose]
+train = ["pts:a"]
+test = ["pointing04:c"]
+"""
+
+
+def changed(old: str, new: str) -> dict:
+    assert old in TEXT
+    return tomllib.loads(TEXT.replace(old, new))
+
+
+def test_says_what_is_run() -> None:
+    config = config_from(tomllib.loads(TEXT))
+    assert (config.folds, config.steps, config.chosen_steps, config.seed) == (3, 2, 2, 7)
+    assert config.augmentations == (1, 4)
+    (faces,) = config.datasets
+    assert (faces.data, faces.scheme, faces.thesis) == (("pts:a", "pts:b"), "aflw21", "AFLW")
+    narrow = config.method("narrow")
+    assert (narrow.method, narrow.options.sigmas, narrow.options.mirror, narrow.options.seed) == (
+        "parametric",
+        3.0,
+        False,
+        7,
+    )
+    assert config.pose is not None
+    assert config.pose.test == ("pointing04:c",)
+
+
+def test_methods_keep_their_own_descriptor_where_a_part_of_it_is_set_for_all() -> None:
+    config = config_from(tomllib.loads(TEXT))
+    described = {plan.name: plan.options.descriptor for plan in config.methods}
+    assert {sift.normalisation for sift in described.values()} == {"cell"}
+    assert described["sdm"].orientation == "upright"
+    assert described["narrow"].orientation == "face"
+
+
+@pytest.mark.parametrize("text", [TEXT, TEXT.split("[pose]")[0]])
+def test_json_of_it_makes_the_same(text: str) -> None:
+    config = config_from(tomllib.loads(text))
+    assert config_from(config.as_json()) == config
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ("folds = 3", "fold = 3", "unknown key 'fold'; expected some of augmentations"),
+        ("folds = 3", 'folds = "3"', "folds: expected something like 10; got '3'"),
+        ("folds = 3", "folds = 1", "folds >= 2"),
+        ("augmentations = 4", "augmentations = 5", r"\[chosen\]: expected augmentations among \[1, 4\]"),
+        ("steps = 2", "steps = 3", "steps from 1 to 2"),
+        ("[0.5, 0.3]", "[0.5, -0.3]", r"\[methods.sdm\]: expected at least one step, windows and sigmas > 0"),
+        ("sigmas = 3", "windows = [0.4]", "as many windows, one a step, for all methods"),
+        ("sigmas = 3", "sigma = 3", r"\[methods.narrow\] unknown key 'sigma'"),
+        ('"parametric"', '"ert"', "expected method = one of sdm, parametric"),
+        ("[methods.sdm]", "[methods.'a/b']\nmethod = 'sdm'", "it goes into file names"),
+        ("initialisations = [1, 3]", "initialisations = [1, 2]", "one, or three or more, each"),
+        ('"box"', '"nose"', "normaliser: expected one of outer, pupil, box"),
+        ('thesis = "AFLW"', 'thesis = "COFW"', "thesis: expected one of AFLW, LFPW"),
+        ('"aflw21"', '"aflw19"', r"\[datasets.faces\] scheme: "),
+        ('["pts:a", "pts:b"]', '"pts:a"', 'data: expected a list of "FORMAT:PATH"'),
+        ("[methods.regression3d]", "", "expected a 3D method among the methods"),
+    ],
+)
+def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
+    with pytest.raises(InputError, match=complaint):
+        config_from(changed(old, new))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot be read"):
+        read_config(tmp_path / "nothing.toml")
+    path = tmp_path / "torn.toml"
+    path.write_text("folds = [")
+    with pytest.raises(InputError, match=r"torn\.toml: is not TOML"):
+        read_config(path)
+    path.write_text(TEXT.replace("folds = 3", "folds = 1"))
+    with pytest.raises(InputError, match=r"torn\.toml: expected augmentations"):
+        read_config(path)
+
+
+def test_the_documented_configuration_is_one() -> None:
+    config = read_config(Path(__file__).resolve().parents[2] / "docs" / "experiments" / "thesis.toml")
+    assert {plan.name for plan in config.methods} == {"sdm", "parametric", "alignment3d", "regression3d"}
+    assert {dataset.thesis for dataset in config.datasets} == {"AFLW", "LFPW"}

@@ -1,0 +1,570 @@
+"""A report's files: tables that can be read back, figures, and a page that works in a real browser, with no network."""
+
+import csv
+import json
+import math
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from jaxfit.evaluation.plots import plot_ced, plot_pose_surface
+from jaxfit.evaluation.pose import PoseGrid
+from jaxfit.exceptions import InputError
+from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Section, Table
+from jaxfit.experiments.figure_files import inline_svg
+from jaxfit.experiments.page import write_document
+from jaxfit.experiments.table_files import latex_table
+from jaxfit.shapes.schemes import IBUG68
+
+pytest.importorskip("jinja2")
+METHODS = ("SDM", "parametric", "3D alignment")
+SIDE = 96
+# What breaks pages whose texts are not escaped.
+HOSTILE = "</script><script>document.title = 'broken'</script>&amp;\"'"
+
+
+def grid_table(name: str, title: str, rng: np.random.Generator) -> Table:
+    steps = range(1, 8)
+    rows = tuple(
+        {
+            "augmentations": count,
+            **{str(step): 0.16 * np.exp(-step / 3) + 0.07 + rng.normal(0, 0.002) for step in steps},
+        }
+        for count in (1, 5, 10, 15, 20, 25)
+    )
+    return Table(
+        name, title, {"augmentations": "", **{str(step): ".4f" for step in steps}}, rows, "Mean NMED over faces."
+    )
+
+
+def comparison_table() -> Table:
+    rows = (
+        {"method": "SDM", "faces": 836, "mean": 0.07631, "± 95 %": 0.0021, "text": "0.0763 ± 0.0021", "p": None},
+        {"method": "parametric", "faces": 836, "mean": 0.1 / 3, "± 95 %": 0.002, "text": "0.134 ± 0.0020", "p": 0.31},
+        {"method": "3D alignment", "faces": 99, "mean": math.inf, "± 95 %": math.nan, "text": None, "p": -1.5e-7},
+        {"method": HOSTILE, "faces": 1000, "mean": np.float32(0.2), "text": "0.02 ± 0.1", "p": np.float64(0.05)},
+    )
+    formats = {"method": "", "faces": "", "mean": ".4f", "± 95 %": ".4f", "text": "", "p": ".2g"}
+    return Table("table-7", "Methods on LFPW, 50 % < x_i & more", formats, rows)
+
+
+def ced_figure(name: str, rng: np.random.Generator) -> Figure:
+    ax = plot_ced({method: rng.gamma(4.0, 0.02, 300) for method in METHODS})
+    ax.set_title("cumulative error")
+    return Figure(name, f"CED of {name}", ax.figure, "Share of faces whose NMED is at most x.")
+
+
+def surface_figure() -> Figure:
+    pitches, yaws = np.arange(-90.0, 91, 30), np.arange(-90.0, 91, 15)
+    mean = 4 + np.abs(yaws)[None] / 6 + np.abs(pitches)[:, None] / 5
+    counts = np.ones(mean.shape, int)
+    surface = plot_pose_surface(PoseGrid(pitches, yaws, mean, counts, 0 * counts), title="yaw")
+    return Figure("figure-20", "Error of yaw by pose", surface.figure)
+
+
+def map_figure() -> Figure:
+    import matplotlib.pyplot as plt
+
+    figure, ax = plt.subplots(figsize=(9, 3))
+    ax.pcolormesh(np.arange(12.0).reshape(3, 4))
+    ax.text(0.5, 0.5, "low", color="white")
+    ax.text(3.5, 2.5, "high", color="black")
+    ax.set_title("over colours")
+    return Figure("figure-map", "A map of colours, with texts that stay black and white", figure)
+
+
+def head_shape() -> np.ndarray:
+    """(68, 2) a face of the scheme ibug68 within the unit square."""
+    turn = np.linspace(np.pi, 0, 17)
+    ring = np.linspace(0, 2 * np.pi, 6, endpoint=False) + np.pi
+    mouth = np.linspace(0, 2 * np.pi, 12, endpoint=False) + np.pi
+    inner = np.linspace(0, 2 * np.pi, 8, endpoint=False) + np.pi
+    brow = np.linspace(0, 1, 5)
+    return np.concatenate(
+        [
+            np.stack([0.5 + 0.38 * np.cos(turn), 0.4 + 0.5 * np.sin(turn)], -1),
+            np.stack([0.18 + 0.25 * brow, 0.3 - 0.05 * np.sin(np.pi * brow)], -1),
+            np.stack([0.57 + 0.25 * brow, 0.3 - 0.05 * np.sin(np.pi * brow)], -1),
+            np.stack([np.full(4, 0.5), np.linspace(0.38, 0.56, 4)], -1),
+            np.stack([np.linspace(0.42, 0.58, 5), 0.6 + 0.02 * np.sin(np.pi * brow)], -1),
+            np.stack([0.31 + 0.07 * np.cos(ring), 0.4 + 0.03 * np.sin(ring)], -1),
+            np.stack([0.69 + 0.07 * np.cos(ring), 0.4 + 0.03 * np.sin(ring)], -1),
+            np.stack([0.5 + 0.15 * np.cos(mouth), 0.73 + 0.06 * np.sin(mouth)], -1),
+            np.stack([0.5 + 0.1 * np.cos(inner), 0.73 + 0.02 * np.sin(inner)], -1),
+        ]
+    )
+
+
+def gallery_face(index: int, rng: np.random.Generator) -> GalleryFace:
+    yaw, pitch = rng.uniform(-60, 60), rng.uniform(-30, 30)
+    truth = SIDE * (0.15 + 0.7 * head_shape()) + rng.normal(0, 2, 2)
+    blobs = cv2.GaussianBlur(rng.uniform(0, 255, (SIDE, SIDE)).astype(np.float32), (0, 0), 6)
+    pixels = cv2.normalize(blobs, None, 40, 220, cv2.NORM_MINMAX).astype(np.uint8)
+    jpeg = None if index % 7 == 0 else cv2.imencode(".jpg", pixels)[1].tobytes()
+    errors = dict(zip(METHODS, rng.gamma(4.0, 0.02, 3).tolist(), strict=True))
+    fits = {method: truth + rng.normal(0, 12 * error, truth.shape) for method, error in errors.items()}
+    if index % 9 == 1:
+        errors["SDM"], fits["SDM"] = math.inf, np.full_like(truth, np.nan)
+    if index % 9 == 2:
+        errors["SDM"] = math.nan
+        truth[40:] = np.nan
+    if index == 4:
+        yaw = math.nan
+    return GalleryFace(
+        ("LFPW", "AFLW")[index % 2],
+        HOSTILE if index == 3 else f"image_{index:04d}",
+        SIDE,
+        jpeg,
+        truth,
+        fits,
+        errors,
+        yaw,
+        pitch,
+    )
+
+
+def sample_gallery(faces: int = 60) -> Gallery:
+    rng = np.random.default_rng(4)
+    lines = {"LFPW": IBUG68.lines, "AFLW": IBUG68.lines}
+    return Gallery("Faces and their fits", tuple(gallery_face(i, rng) for i in range(faces)), lines, "Drawn faces.")
+
+
+def build(faces: int = 60, tables: int = 4) -> Document:
+    """A report like the real ones; the same at each call, with figures of its own."""
+    rng = np.random.default_rng(5)
+    grids = [(method, dataset) for dataset in ("LFPW", "AFLW") for method in METHODS][:tables]
+    introduction = (
+        "Each method was trained with a number of augmentations and cascade steps, and tested on held-out faces. "
+        "The tables show the mean error over faces, in distances between the eyes."
+    )
+    steps = Section(
+        "Augmentations and steps",
+        (introduction,),
+        tuple(grid_table(f"table-{i}", f"{method} on {dataset}", rng) for i, (method, dataset) in enumerate(grids)),
+    )
+    methods = Section(
+        "Methods compared",
+        ("First paragraph.", "Second paragraph, which says <b>nothing</b>."),
+        (
+            comparison_table(),
+            ced_figure("figure-12", rng),
+            ced_figure("figure-13", rng),
+            surface_figure(),
+            map_figure(),
+        ),
+    )
+    return Document(
+        "Face landmarks by cascaded regression: experiments",
+        {"jaxfit": "1.4.0", "machine": "2 cores", "faces": "AFLW 2359, LFPW 836", "configuration": HOSTILE},
+        (steps, methods, Section("Faces", (), (sample_gallery(faces),)), Section("Nothing to show")),
+    )
+
+
+@pytest.fixture(autouse=True)
+def agg() -> Iterator[None]:
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    yield
+    plt.close("all")
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a written report."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    folder = tmp_path_factory.mktemp("report") / "new"
+    write_document(build(), folder)
+    return folder
+
+
+def parts(kind: type) -> list:
+    """The report's tables, or its figures, which are closed."""
+    import matplotlib.pyplot as plt
+
+    found = [part for section in build().sections for part in section.parts if isinstance(part, kind)]
+    plt.close("all")
+    return found
+
+
+def gallery_json(page: str) -> list[dict]:
+    return [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)]
+
+
+def test_every_table_can_be_read_back(report: Path) -> None:
+    tables = parts(Table)
+    assert {path.name for path in (report / "tables").iterdir()} == {
+        f"{table.name}.{end}" for table in tables for end in ("csv", "tex")
+    }
+    for table in tables:
+        with open(report / "tables" / f"{table.name}.csv", encoding="utf-8", newline="") as file:
+            heading, *rows = csv.reader(file)
+        assert heading == list(table.columns)
+        assert len(rows) == len(table.rows)
+        for read, row in zip(rows, table.rows, strict=True):
+            for text, value in zip(read, (row.get(name) for name in table.columns), strict=True):
+                if value is None or isinstance(value, str):
+                    assert text == (value or "")
+                else:  # to the last bit
+                    np.testing.assert_array_equal(type(value)(text), value)
+
+
+def test_latex() -> None:
+    rows = (
+        {"a_b & c": "50 % {of} \\x^2~#$", "Δ": -0.1234, "n": 3},
+        {"a_b & c": "± 1 °", "Δ": None, "n": math.inf},
+    )
+    table = Table("t", "Two\nlines", {"a_b & c": "", "Δ": ".2f", "n": ""}, rows)
+    assert latex_table(table).splitlines() == [
+        "% Two lines",
+        r"% Needs \usepackage{booktabs}.",
+        r"\begin{tabular}{lrr}",
+        r"\toprule",
+        r"a\_b \& c & Δ & n \\",
+        r"\midrule",
+        r"50 \% \{of\} \textbackslash{}x\textasciicircum{}2\textasciitilde{}\#\$ & $-$0.12 & 3 \\",
+        r"$\pm$ 1 $^\circ$ & -- & $\infty$ \\",
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+
+
+def test_figures_are_black_on_white_and_closed(report: Path, tmp_path: Path) -> None:
+    import matplotlib.pyplot as plt
+
+    document = build(faces=1, tables=1)
+    assert len(plt.get_fignums()) == 4
+    write_document(document, tmp_path)
+    assert not plt.get_fignums()
+    for figure in parts(Figure):
+        pixels = cv2.imread(str(report / "figures" / f"{figure.name}.png"))
+        assert (pixels[0] == 255).all()
+        assert pixels.min() < 40
+        svg = (report / "figures" / f"{figure.name}.svg").read_text(encoding="utf-8")
+        assert svg.startswith("<?xml")
+        assert "var(" not in svg
+
+
+def test_drawings_in_the_page_follow_its_colours_and_share_no_id(report: Path) -> None:
+    page = (report / "report.html").read_text(encoding="utf-8")
+    ids = re.findall(r'\bid="([^"]*)"', page)
+    assert len(ids) == len(set(ids)) > 100
+    referred = re.findall(r'(?:href="#|url\(#)([^")]*)', page)
+    assert set(referred) <= set(ids)
+    drawings = re.findall(r'class="drawing".*?</svg>', page, re.DOTALL)
+    assert len(drawings) == len(parts(Figure))
+    for drawing in drawings:
+        assert not re.search(r": #(000000|ffffff)\b", drawing)
+        assert set(re.findall(r"var\((--grey-..)\)", drawing)) == set(re.findall(r"(--grey-..):", drawing))
+
+
+def test_greys_lie_between_ink_and_ground() -> None:
+    svg = (
+        '<?xml?><svg width="1pt" viewBox="0 0 72 36" xmlns="x"><a id="b" style="fill: #333333; stroke: #123456"/></svg>'
+    )
+    assert inline_svg(svg, "f", 'a "b"') == (
+        '<svg viewBox="0 0 72 36" role="img" aria-label="a &quot;b&quot;" style="--grey-33: color-mix(in srgb, '
+        'currentColor 80.0%, var(--card)); --width: 96px; fill: currentColor">'
+        '<a id="f-b" style="fill: var(--grey-33); stroke: #123456"/></svg>'
+    )
+
+
+def test_the_page_refers_to_nothing_outside(report: Path) -> None:
+    page = (report / "report.html").read_text(encoding="utf-8")
+    assert not re.findall(r"https?://|@import|url\((?!#)", page)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', page)
+    links = [source for source in sources if not source.startswith(("#", "data:"))]
+    assert len(links) == 2 * (len(parts(Table)) + len(parts(Figure)))
+    assert all((report / link).is_file() for link in links)
+
+
+def test_the_same_document_gives_the_same_bytes(tmp_path: Path) -> None:
+    documents = [build(faces=5, tables=1) for _ in range(2)]
+    for name, document in zip("ab", documents, strict=True):
+        write_document(document, tmp_path / name)
+    files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
+    assert len(files) == 2 + 2 * 2 + 2 * 4  # two pages, two tables, four figures
+    for file in files:
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_texts_are_escaped(report: Path) -> None:
+    page = (report / "report.html").read_text(encoding="utf-8")
+    assert "<script>document" not in page
+    assert "<b>nothing" not in page
+    (data,) = gallery_json(page)
+    assert data["faces"][3]["name"] == HOSTILE
+
+
+def test_galleries_hold_faces_to_a_tenth_of_a_pixel(report: Path) -> None:
+    (data,) = gallery_json((report / "report.html").read_text(encoding="utf-8"))
+    gallery = sample_gallery()
+    assert [tuple(map(tuple, lines)) for lines in data["lines"]] == [gallery.lines[name] for name in data["datasets"]]
+    for stored, face in zip(data["faces"], gallery.faces, strict=True):
+        assert data["datasets"][stored["dataset"]] == face.dataset
+        for index, method in enumerate(data["methods"]):
+            points = np.array(stored["fits"][str(index)], float).reshape(-1, 2) / 10
+            np.testing.assert_allclose(points, face.fits[method], rtol=0, atol=0.05 + 1e-9)
+            error = stored["errors"][str(index)]
+            np.testing.assert_allclose(
+                math.nan if error is None else float(error), face.errors[method], rtol=0, atol=1e-7
+            )
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "a b", ".x", "x.", "a..b", 'a"b', "ü", "x\n"])
+def test_names_must_be_file_names(name: str, tmp_path: Path) -> None:
+    table = Table(name, "t", {"a": ""}, ())
+    with pytest.raises(InputError, match="letters and digits"):
+        write_document(Document("d", {}, (Section("s", (), (table,)),)), tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_names_must_differ_even_where_case_is_not_told(tmp_path: Path) -> None:
+    table = Table("t-0.1", "t", {"a": ""}, ({"a": 1},))
+    section = Section("s", (), (table, replace(table, name="T-0.1")))
+    with pytest.raises(InputError, match=r"T-0\.1"):
+        write_document(Document("d", {}, (section,)), tmp_path)
+    write_document(Document("d", {}, (replace(section, parts=(table,)),)), tmp_path)
+    assert (tmp_path / "tables" / "t-0.1.csv").read_text(encoding="utf-8") == "a\n1\n"
+
+
+def test_without_jinja2_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    with pytest.raises(InputError, match=r'pip install "jaxfit\[experiments\]"'):
+        write_document(Document("d"), tmp_path)
+
+
+# In a browser.
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator:
+    api = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("needs Chromium or Chrome")
+    options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-dev-shm-usage"]
+    with api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=path, args=options)
+        yield running
+        running.close()
+
+
+@pytest.fixture
+def opened(browser, report: Path) -> Callable:
+    """Opens the report; when done with it, there must have been no error and no request but for itself."""
+
+    @contextmanager
+    def show(width: int = 1280, height: int = 900, **options) -> Iterator:
+        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        try:
+            page = context.new_page()
+            page.set_default_timeout(20_000)
+            problems, requests = [], []
+            page.on("console", lambda message: problems.append(message.text))
+            page.on("pageerror", lambda error: problems.append(str(error)))
+            page.on("request", lambda request: requests.append(request.url))
+            address = (report / "report.html").as_uri()
+            page.goto(address)
+            assert page.title() == build_title
+            yield page
+            assert problems == []
+            assert [url for url in requests if not url.startswith("data:")] == [address]
+        finally:
+            context.close()
+
+    build_title = "Face landmarks by cascaded regression: experiments"
+    return show
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_fits_and_follows_the_colour_scheme(opened: Callable, width: int, scheme: str) -> None:
+    with opened(width, color_scheme=scheme) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        for colours in ("getComputedStyle(document.body).backgroundColor", "getComputedStyle(card).backgroundColor"):
+            red, green, blue = map(
+                int,
+                re.findall(
+                    r"\d+",
+                    page.evaluate(f"(() => {{ const card = document.querySelector('.card'); return {colours} }})()"),
+                ),
+            )
+            assert (max(red, green, blue) < 60) == (scheme == "dark")
+            assert (min(red, green, blue) > 220) == (scheme == "light")
+        # Contents lie beside the text where there is room; otherwise they are closed until they are asked for.
+        contents = page.locator(".contents details")
+        assert contents.evaluate("details => details.open") == (width == 1280)
+        if width == 390:
+            contents.locator("summary").click()
+        contents.get_by_role("link", name="Faces", exact=True).click()
+        assert page.url.endswith("#section-3")
+        assert page.locator("#section-3 h2").evaluate("h => h.getBoundingClientRect().top") < 300
+        assert contents.evaluate("details => details.open") == (width == 1280)
+
+
+@pytest.mark.parametrize(
+    ("heading", "ascending"),
+    [
+        ("mean", ["parametric", "SDM", HOSTILE, "3D alignment"]),
+        ("faces", ["3D alignment", "SDM", "parametric", HOSTILE]),
+        ("± 95 %", ["parametric", "SDM", "3D alignment", HOSTILE]),  # two are missing
+        ("text", [HOSTILE, "SDM", "parametric", "3D alignment"]),  # by the numbers that they begin with; one is missing
+        ("p", ["3D alignment", HOSTILE, "parametric", "SDM"]),  # one is missing
+        ("method", [HOSTILE, "3D alignment", "parametric", "SDM"]),
+    ],
+)
+def test_headings_sort_tables(opened: Callable, heading: str, ascending: list[str]) -> None:
+    missing = {"± 95 %": 2, "text": 1, "p": 1}.get(heading, 0)
+    known = len(ascending) - missing
+    original = [row["method"] for row in comparison_table().rows]
+    with opened() as page:
+        table = page.locator('[id="tables/table-7"] table')
+
+        def order() -> list[str]:
+            return table.locator("tbody th").all_text_contents()
+
+        cell = table.get_by_role("columnheader", name=heading, exact=True)
+        button = cell.get_by_role("button")
+        assert order() == original
+        button.click()
+        assert order() == ascending
+        assert cell.get_attribute("aria-sort") == "ascending"
+        button.focus()
+        page.keyboard.press("Enter")
+        descending = order()
+        assert descending[known:] == ascending[known:]
+        values = {row["method"]: row.get(heading) for row in comparison_table().rows}
+        unequal = [values[method] for method in ascending[:known]]
+        if len(set(unequal)) == known:
+            assert descending[:known] == ascending[:known][::-1]
+        else:  # equal ones stay as they were
+            assert descending[:known] == [HOSTILE, "SDM", "parametric", "3D alignment"]
+        assert table.locator("[aria-sort]").count() == 1
+        assert cell.get_attribute("aria-sort") == "descending"
+        button.click()
+        assert order() == original
+        assert table.locator("[aria-sort]").count() == 0
+
+
+def test_figures_open_large_and_go_back(opened: Callable) -> None:
+    with opened() as page:
+        drawing, dialog = page.locator(".drawing").first, page.locator("dialog")
+        small = drawing.locator("svg").bounding_box()
+        drawing.focus()
+        page.keyboard.press("Enter")
+        assert dialog.is_visible()
+        assert dialog.locator("h2").text_content() == "CED of figure-12"
+        large = dialog.locator(".stage svg").bounding_box()
+        assert large["width"] > 1.5 * small["width"]
+        dialog.get_by_role("button", name="Zoom").click()
+        assert dialog.locator(".stage svg").bounding_box()["width"] > 2 * large["width"]
+        page.keyboard.press("Escape")
+        assert dialog.is_hidden()
+        assert drawing.locator("svg").bounding_box()["width"] == small["width"]
+        assert drawing.evaluate("button => button === document.activeElement")
+        page.locator(".drawing").nth(2).click()
+        assert dialog.locator("h2").text_content() == "Error of yaw by pose"
+        dialog.get_by_role("button", name="Close").click()
+        assert dialog.is_hidden()
+        assert page.locator(".drawing svg").count() == len(parts(Figure))
+
+
+def expected_faces(
+    method: str, dataset: str | None = None, sign: int = -1, **ranges: tuple[float | None, float | None]
+) -> list[str]:
+    """The names of the faces that a gallery should show, in order: an oracle for its filters."""
+    gallery = sample_gallery()
+
+    def inside(face: GalleryFace) -> bool:
+        values = {"error": face.errors[method], "yaw": face.yaw, "pitch": face.pitch}
+        return all(
+            (low is None or values[name] >= low) and (high is None or values[name] <= high)
+            for name, (low, high) in ranges.items()
+        )
+
+    kept = [face for face in gallery.faces if (dataset is None or face.dataset == dataset) and inside(face)]
+    # What is unmeasured comes last.
+    kept.sort(key=lambda face: (True, 0) if math.isnan(face.errors[method]) else (False, sign * face.errors[method]))
+    return [face.face for face in kept]
+
+
+def test_gallery_filters(opened: Callable) -> None:
+    with opened() as page:
+        gallery = page.locator(".gallery")
+
+        def shown() -> list[str]:
+            assert gallery.locator("output").text_content() == f"{gallery.locator('.face').count()} of 60 faces"
+            return gallery.locator(".face > span:last-child").all_text_contents()
+
+        assert shown() == expected_faces("SDM")
+        gallery.get_by_label("Order").select_option("best")
+        assert shown() == expected_faces("SDM", sign=1)
+        gallery.get_by_label("Error, to").fill("0.07")
+        assert shown() == expected_faces("SDM", sign=1, error=(None, 0.07))
+        assert 0 < len(shown()) < 60
+        gallery.get_by_label("Dataset").select_option("AFLW")
+        gallery.get_by_label("Method").select_option("3D alignment")
+        gallery.get_by_label("Order").select_option("worst")
+        assert shown() == expected_faces("3D alignment", "AFLW", error=(None, 0.07))
+        gallery.get_by_label("Error, to").fill("")
+        gallery.get_by_label("Yaw [°], from").fill("-20")
+        gallery.get_by_label("Pitch [°], to").fill("10.5")
+        assert shown() == expected_faces("3D alignment", "AFLW", yaw=(-20, None), pitch=(None, 10.5))
+        assert 0 < len(shown()) < 20
+        gallery.get_by_label("Error, from").fill("7")
+        assert shown() == []
+        assert gallery.get_by_text("No face is like that.").is_visible()
+        gallery.get_by_role("button", name="Show all").click()
+        assert shown() == expected_faces("SDM")
+        errors = gallery.locator(".face b").all_text_contents()
+        assert errors.count("no fit") == 7
+        assert errors[:7] == ["no fit"] * 7
+        assert errors.count("unmeasured") == 7
+        assert errors[-7:] == ["unmeasured"] * 7
+
+
+def test_faces_show_truth_and_the_fit_of_the_method_and_enlarge(opened: Callable) -> None:
+    gallery = sample_gallery()
+    by_name = {face.face: face for face in gallery.faces}
+    names = expected_faces("parametric")
+    with opened(390) as page:
+        page.locator(".gallery").get_by_label("Method").select_option("parametric")
+        card = page.locator(".face").first
+        card.scroll_into_view_if_needed()
+        card.locator("svg").wait_for()
+        face = by_name[names[0]]
+        assert card.locator("img").count() == (face.jpeg is not None)
+        assert page.locator(".face").last.locator("svg").count() == 0  # too far away to be drawn
+        for name, points in (("truth", face.truth), ("fit", face.fits["parametric"])):
+            path = card.locator(f".dots.{name}").get_attribute("d")
+            drawn = np.array([pair.split() for pair in re.findall(r"M([^h]*)h", path)], float)
+            np.testing.assert_allclose(drawn, points[np.isfinite(points[:, 0])], rtol=0, atol=0.051)
+        strokes = [
+            card.locator(f".line.{name}").evaluate("p => getComputedStyle(p).stroke") for name in ("truth", "fit")
+        ]
+        assert strokes == ["rgb(255, 65, 54)", "rgb(23, 224, 242)"]
+        card.click()
+        dialog = page.locator("dialog")
+        assert dialog.locator("h2").text_content() == f"{face.dataset}: {face.face}"
+        assert f"{face.errors['parametric']:.4f}" in dialog.locator("[aria-current]").text_content()
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        page.keyboard.press("ArrowRight")
+        assert dialog.locator("h2").text_content().endswith(names[1])
+        dialog.get_by_role("button", name="Previous face").click()
+        dialog.get_by_role("button", name="Previous face").click()
+        assert dialog.locator("h2").text_content().endswith(names[-1])
+        page.keyboard.press("Escape")
+        assert dialog.is_hidden()
