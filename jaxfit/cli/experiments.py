@@ -16,7 +16,7 @@ from jaxfit.experiments.config import read_config
 from jaxfit.experiments.lab import Lab
 from jaxfit.experiments.report import write_report
 from jaxfit.experiments.results import read_results
-from jaxfit.experiments.run import SETTINGS, Standing, keep_settings, probe_pace, run, standing
+from jaxfit.experiments.running import SETTINGS, Standing, keep_settings, probe_pace, run, standing
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxfit.experiments.cells import Grid, Pose, Starts, Times, plan, several
 from jaxfit.experiments.config import Config, config_from
 from jaxfit.experiments.lab import load_arrays
-from jaxfit.experiments.run import SETTINGS
+from jaxfit.experiments.running import SETTINGS
 from jaxfit.shapes.schemes import Scheme, scheme_named
 
 Arrays = Mapping[str, np.ndarray]

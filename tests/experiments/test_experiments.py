@@ -27,7 +27,7 @@ from jaxfit.experiments.config import Config, config_from
 from jaxfit.experiments.lab import Lab, load_arrays
 from jaxfit.experiments.report import write_report
 from jaxfit.experiments.results import Results, read_results
-from jaxfit.experiments.run import run, standing
+from jaxfit.experiments.running import run, standing
 from jaxfit.experiments.thesis import THESIS
 
 FACES = 24

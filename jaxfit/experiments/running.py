@@ -81,6 +81,8 @@ def run(
                 arrays = cell.run(lab, progress)
                 seconds = np.array(time.perf_counter() - begin)
                 lab.save_result(cell.name, {**arrays, "seconds": seconds, "work": np.array(cell.work(lab))})
+                # No two trainings keep equally many components: their compiled code would pile up.
+                jax.clear_caches()
                 ran = True
         if not ran:
             time.sleep(_PATIENCE)  # what is left is being run by others, or waits for them
