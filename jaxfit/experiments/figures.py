@@ -1,4 +1,7 @@
-"""Figures of an experiment: errors over the grid and over initialisations, and fitted faces."""
+"""Figures of an experiment: errors over the grid and over initialisations, and fitted faces.
+
+They are matplotlib's own objects that pyplot does not know: notebooks show them as the last expression of a cell.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING

@@ -1,15 +1,12 @@
 """The report of an experiment: the thesis's tables and figures from what was run, with the thesis's numbers beside."""
 
-import platform
 from collections.abc import Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
-import jaxfit
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import NORMALISER_TITLES
 from jaxfit.evaluation.plots import new_figure, plot_ced, plot_pose_surface
@@ -68,9 +65,9 @@ def write_report(folder: Path, target: Path, pictures: bool = True) -> int:
 def document(results: Results, pictures: bool = True) -> Document:
     """The report of an experiment; what was not run is left out."""
     config = results.config
-    solid = [plan for plan in config.methods if plan.in_3d]
-    flat = [plan for plan in config.methods if not plan.in_3d]
-    groups = [(kind, plans) for kind, plans in zip(_KINDS, (flat, solid), strict=True) if plans]
+    flat = _Group("2d", "2D methods (5.2)", "Table 3", tuple(plan for plan in config.methods if not plan.in_3d))
+    solid = _Group("3d", "3D methods (5.3)", "Table 5", tuple(plan for plan in config.methods if plan.in_3d))
+    groups = [group for group in (flat, solid) if group.plans]
     about = {
         "run": f"{results.cells - results.missing} of {results.cells} cells, {results.hours:.1f} hours of one process",
         "faces": ", ".join(f"{dataset.name} {len(dataset.faces['face'])}" for dataset in results.datasets),
@@ -78,8 +75,7 @@ def document(results: Results, pictures: bool = True) -> Document:
         "compared": f"models of {config.chosen_augmentations} augmentations and {config.chosen_steps} steps",
         "errors": f"normalised mean Euclidean distance (Eq. 16), over {NORMALISER_TITLES[config.normaliser]}; "
         "of 3D methods in 3D",
-        "versions": f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, numpy {np.__version__}",
-        "machine": f"{platform.machine()}, {platform.system()}, {jax.devices()[0].device_kind}",
+        "run with": "; ".join(results.made_with),
     }
     sections = [
         _claims(results),
@@ -89,23 +85,9 @@ def document(results: Results, pictures: bool = True) -> Document:
                 "Errors over the numbers of cascade steps, augmentations and initialisations. One training of all "
                 "steps gives the errors after each of them.",
             ),
-            tuple(part for kind, plans in groups for part in _parameters(results, kind, plans)),
+            tuple(part for group in groups for part in _parameters(results, group)),
         ),
-        *(
-            Section(title, (), tuple(_comparison(results, kind, plans, table)))
-            for (kind, plans), (title, table) in zip(
-                groups,
-                [
-                    named
-                    for named, plans in (
-                        (("2D methods (5.2)", "Table 3"), flat),
-                        (("3D methods (5.3)", "Table 5"), solid),
-                    )
-                    if plans
-                ],
-                strict=True,
-            )
-        ),
+        *(Section(group.title, (), tuple(_comparison(results, group))) for group in groups),
         Section("Times (Tables 4 and 6)", (), tuple(_times(results))),
         Section("Pose (5.4)", (), tuple(part for pose in results.pose for part in _pose(pose))),
         Section(
@@ -115,8 +97,8 @@ def document(results: Results, pictures: bool = True) -> Document:
                 *(
                     part
                     for dataset in results.datasets
-                    for kind, plans in groups
-                    for part in _fits(dataset, config, kind, plans, pictures)
+                    for group in groups
+                    for part in _fits(dataset, config, group, pictures)
                 ),
                 *([gallery(results.datasets, config, _GALLERY, pictures)] if results.datasets else []),
             ),
@@ -143,9 +125,19 @@ def document(results: Results, pictures: bool = True) -> Document:
             tuple(table for pose in results.pose for table in _pose_tables(pose)),
         ),
     ]
+    sections = [section for section in sections if section.parts]
     if results.problems:
         sections.append(Section("Problems", results.problems))
-    return Document("Experiments", about, tuple(section for section in sections if section.parts or section.text))
+    return Document("Experiments", about, tuple(sections))
+
+
+class _Group(NamedTuple):
+    """Methods that are compared with one another, and where."""
+
+    kind: str
+    title: str
+    table: str
+    plans: tuple[MethodPlan, ...]
 
 
 def _run(dataset: DatasetResults, config: Config, plans: Sequence[MethodPlan]) -> list[MethodPlan]:
@@ -182,8 +174,8 @@ def _claims(results: Results) -> Section:
     return Section("The thesis's claims", (), (Table("claims", "Claims", columns, tuple(rows), note),) if rows else ())
 
 
-def _parameters(results: Results, kind: str, plans: Sequence[MethodPlan]) -> Iterator[Table | Figure]:
-    config = results.config
+def _parameters(results: Results, group: _Group) -> Iterator[Table | Figure]:
+    config, kind, plans = results.config, group.kind, group.plans
     for dataset in results.datasets:
         run = _run(dataset, config, plans)
         if not run:
@@ -238,10 +230,10 @@ def _best(dataset: DatasetResults, config: Config, plans: Sequence[MethodPlan]) 
         yield row
 
 
-def _comparison(results: Results, kind: str, plans: Sequence[MethodPlan], number: str) -> Iterator[Table | Figure]:
-    config, rows, tests = results.config, [], []
+def _comparison(results: Results, group: _Group) -> Iterator[Table | Figure]:
+    config, kind, rows, tests = results.config, group.kind, [], []
     for dataset in results.datasets:
-        run = _run(dataset, config, plans)
+        run = _run(dataset, config, group.plans)
         errors = {plan.name: dataset.errors(plan.name, config) for plan in run}
         rows += [_summary(dataset, plan, errors[plan.name]) for plan in run]
         for one, other in combinations(run, 2):
@@ -284,7 +276,7 @@ def _comparison(results: Results, kind: str, plans: Sequence[MethodPlan], number
         "count in the rest."
     )
     if rows:
-        yield Table(f"errors-{kind}", f"{number}. Errors ({kind.upper()})", columns, tuple(rows), note)
+        yield Table(f"errors-{kind}", f"{group.table}. Errors ({kind.upper()})", columns, tuple(rows), note)
     if tests:
         for name in ("rank-sum p", "signed-rank p"):
             adjusted = holm(np.array([row[name] for row in tests]))
@@ -453,10 +445,8 @@ def _thesis_pose(pose: PoseResults, method: str, angle: str, grid: PoseGrid) -> 
     return np.array(THESIS["pose_grid"][method][angle], float)
 
 
-def _fits(
-    dataset: DatasetResults, config: Config, kind: str, plans: Sequence[MethodPlan], pictures: bool
-) -> Iterator[Figure]:
-    run = _run(dataset, config, plans)
+def _fits(dataset: DatasetResults, config: Config, group: _Group, pictures: bool) -> Iterator[Figure]:
+    kind, run = group.kind, _run(dataset, config, group.plans)
     if not run:
         return
     errors = dataset.errors(run[0].name, config)

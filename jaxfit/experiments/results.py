@@ -74,6 +74,7 @@ class Results:
         cells: number of cells.
         missing: how many of them are not run yet.
         hours: that the others took, of one process.
+        made_with: versions and machines that did that.
         problems: what went wrong in them, each once.
     """
 
@@ -83,6 +84,7 @@ class Results:
     cells: int
     missing: int
     hours: float
+    made_with: tuple[str, ...]
     problems: tuple[str, ...]
 
 
@@ -134,7 +136,9 @@ def read_results(folder: Path) -> Results:
     told = [*(dataset.faces for dataset in datasets), *(arrays for _, arrays in done.values())]
     problems = dict.fromkeys(str(why) for arrays in told for why in arrays.get("problems", ()))
     hours = sum(float(arrays["seconds"]) for _, arrays in done.values()) / 3600
-    return Results(config, tuple(datasets), pose, len(cells), len(cells) - len(done), hours, tuple(problems))
+    made_with = dict.fromkeys(str(arrays["made_with"]) for _, arrays in done.values() if "made_with" in arrays)
+    missing = len(cells) - len(done)
+    return Results(config, tuple(datasets), pose, len(cells), missing, hours, tuple(made_with), tuple(problems))
 
 
 class _Found:

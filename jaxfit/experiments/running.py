@@ -1,5 +1,6 @@
 """Running an experiment: cell after cell, in one process or several, and on where a killed run ended."""
 
+import platform
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+import jaxfit
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.data.outputs import require_same_settings
 from jaxfit.exceptions import InputError
@@ -24,6 +26,8 @@ SETTINGS = "config.json"
 _PATIENCE = 2.0
 # Training takes some more than describing windows.
 _BEYOND_WINDOWS = 1.3
+# No two trainings keep equally many components: their compiled code piles up, by some 200 MB a cell.
+_CELLS_COMPILED = 8
 _PROBE, _PROBED = "sdm68", 16
 
 
@@ -67,9 +71,9 @@ def run(
     lab = Lab(config, folder)
     keep_settings(lab)
     lab.write_faces()
-    waiting = plan(config)
+    waiting, ran = plan(config), 0
     while waiting := [cell for cell in waiting if not lab.result(cell.name).exists()]:
-        ran = False
+        before = ran
         for cell in waiting:
             if lab.result(cell.name).exists() or not all(lab.result(name).exists() for name in cell.needs):
                 continue
@@ -80,11 +84,12 @@ def run(
                 begin = time.perf_counter()
                 arrays = cell.run(lab, progress)
                 seconds = np.array(time.perf_counter() - begin)
-                lab.save_result(cell.name, {**arrays, "seconds": seconds, "work": np.array(cell.work(lab))})
-                # No two trainings keep equally many components: their compiled code would pile up.
-                jax.clear_caches()
-                ran = True
-        if not ran:
+                told = {"seconds": seconds, "work": np.array(cell.work(lab)), "made_with": np.array(_made_with())}
+                lab.save_result(cell.name, {**arrays, **told})
+                ran += 1
+                if ran % _CELLS_COMPILED == 0:
+                    jax.clear_caches()
+        if ran == before:
             time.sleep(_PATIENCE)  # what is left is being run by others, or waits for them
 
 
@@ -150,6 +155,12 @@ def _alone(lab: Lab, cell: Cell) -> Iterator[bool]:
         yield True
     finally:
         lock.release()
+
+
+def _made_with() -> str:
+    device = jax.devices()[0].device_kind
+    versions = f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, numpy {np.__version__}"
+    return f"{versions}, {platform.system()}, {platform.machine()}, {device}"
 
 
 def _folder_name(spec: str) -> str:

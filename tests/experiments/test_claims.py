@@ -52,7 +52,7 @@ def measured(thesis: str = "AFLW", flat: bool = False, **factors: float) -> Resu
     truth = np.stack([np.zeros(400), rng.uniform(-30, 30, 400), yaw], 1)
     noise = rng.normal(0, 1, (400, 3)) * np.where(np.abs(yaw) > 45, factors.get("beyond", 5.0), 1.0)[:, None]
     fitted = {"alignment3d": truth + 4 * noise, "regression3d": truth + noise * factors.get("pose", 1.0)}
-    return Results(config, (dataset,), (PoseResults("heads", truth, fitted),), 1, 0, 0.0, ())
+    return Results(config, (dataset,), (PoseResults("heads", truth, fitted),), 1, 0, 0.0, (), ())
 
 
 def of(results: Results, letter: str) -> list[Claim]:
