@@ -465,7 +465,7 @@ def test_training_without_the_pictures_of_the_test(heads, head_models, tmp_path:
 
 
 def test_3d_methods_need_a_head_model_of_the_landmarks(drawn: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("jaxfit.training.read_image", None)  # not reached
+    monkeypatch.setattr("jaxfit.training.cut", None)  # not reached
     out = tmp_path / "out.safetensors"
     for method in ("alignment3d", "regression3d"):
         train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar", "--method", method]
