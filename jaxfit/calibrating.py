@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,14 +10,18 @@ import numpy as np
 from jaxfit.data.detection import best_match, detect_faces
 from jaxfit.data.images import read_grey
 from jaxfit.data.placements import Placement, measure_placement
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import Evaluation, evaluate
+from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.evaluating import Evaluation, evaluate, start_boxes
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.fitting import fit
+from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
 from jaxfit.shapes.space import Start
 
 _DETECTOR = "haar-frontal"
+# Measures the boxes of datasets without landmarks, and what models it can tell them to.
+_CALIBRATOR, CALIBRATED = "sdm68", IBUG68
 _FEWEST = 10
 # Degrees of labelled pitch and yaw up to which a head looks straight ahead.
 _FRONTAL = 15
@@ -41,10 +45,24 @@ def calibrate_boxes(
     Raises:
         InputError: the model does not know the detector's boxes, or no face has a box, or fewer than ten were found.
     """
-    model.placement(_DETECTOR)
     if not any(face.box is not None for face in faces):
         raise InputError("expected faces with boxes, to learn how faces lie in them; got none")
-    boxes, found, pictures = [], [], []
+    return _placement(model, list(_fitted_in_boxes(model, faces, progress).values()))
+
+
+class _Fitted(NamedTuple):
+    """A face that was found in its box: ``box`` (4,), and its fitted ``landmarks`` (L, 2), in pixels."""
+
+    box: np.ndarray
+    landmarks: np.ndarray
+
+
+def _fitted_in_boxes(
+    model: Model, faces: Sequence[FaceRecord], progress: Callable[[str, int, int], None]
+) -> dict[int, _Fitted]:
+    """By number, the faces that the detector finds in their boxes, fitted."""
+    model.placement(_DETECTOR)
+    numbers, found, pictures = [], [], []
     for number, face in enumerate(faces):
         progress("looking for faces in their boxes", number, len(faces))
         if face.box is None:
@@ -55,19 +73,33 @@ def calibrate_boxes(
             continue
         match = best_match(detect_faces(grey), face.box)
         if match is not None and match.kind == _DETECTOR:
-            boxes.append(face.box)
+            numbers.append(number)
             found.append(match.box)
             pictures.append(grey)
     progress("looking for faces in their boxes", len(faces), len(faces))
-    if len(found) < _FEWEST:
+    fits = fit(model, pictures, np.array(found).reshape(-1, 4), kind=_DETECTOR)
+    return {
+        number: _Fitted(np.asarray(faces[number].box), landmarks)
+        for number, landmarks, ok in zip(numbers, fits.landmarks, fits.ok, strict=True)
+        if ok
+    }
+
+
+def _placement(model: Model, fitted: Sequence[_Fitted]) -> Placement:
+    """How fitted faces lie in their boxes.
+
+    Raises:
+        InputError: fewer than ten.
+    """
+    if len(fitted) < _FEWEST:
         raise InputError(
-            f"expected at least {_FEWEST} faces that the detector finds in their boxes; found {len(found)}"
+            f"expected at least {_FEWEST} faces that the detector finds in their boxes; found {len(fitted)}"
         )
-    fits = fit(model, pictures, np.array(found), kind=_DETECTOR)
-    frame, space = model.cascade.frame, model.cascade.space
+    space = model.cascade.space
     mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
     centred = np.asarray(mean - mean.mean(0), np.float64)
-    return measure_placement(np.array(boxes)[fits.ok], fits.landmarks[fits.ok], centred, frame.face)
+    boxes, landmarks = (np.array(each) for each in zip(*fitted, strict=True))
+    return measure_placement(boxes, landmarks, centred, model.cascade.frame.face)
 
 
 def frontal(face: FaceRecord) -> bool:
@@ -105,15 +137,46 @@ def evaluate_in_own_boxes(
     if len(subjects) < 2:
         raise InputError("expected faces of two subjects or more: each one's boxes are measured on the others")
     parts: dict[str, list[Evaluation]] = {name: [] for name in models}
+    ahead = [face for face in faces if frontal(face)]
+    fitted = _fitted_in_boxes(calibrator, ahead, progress)
     for subject in subjects:
         tested = [face for face in faces if face.subject == subject]
-        others = [face for face in faces if face.subject != subject and frontal(face)]
-        placement = calibrate_boxes(calibrator, others, progress)
+        placement = _placement(calibrator, [fits for n, fits in fitted.items() if ahead[n].subject != subject])
         boxes = np.array([np.full(4, np.nan) if face.box is None else face.box for face in tested])
         for name, model in models.items():
             placed = replace(model, placements={**model.placements, SQUARE: placement})
-            parts[name].append(evaluate(placed, tested, boxes, progress=progress))
+            parts[name].append(evaluate(placed, tested, boxes, normaliser="box", progress=progress))
     return {name: _joined(results) for name, results in parts.items()}
+
+
+def evaluate_pose(
+    models: Mapping[str, Model],
+    dataset: Dataset,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> dict[str, Evaluation]:
+    """Evaluate models of 3D methods on faces with labelled poses: from the labels' squares, or, without landmarks,
+    from the dataset's own boxes as `evaluate_in_own_boxes` does.
+
+    Args:
+        models: by name.
+        dataset: faces with poses.
+        seed: of the squares, as in `start_boxes`.
+        progress: called with the stage's name, faces done and faces in all.
+
+    Returns:
+        By name; errors of landmarks are relative to their bounding square.
+
+    Raises:
+        InputError: as `evaluate` and `evaluate_in_own_boxes`.
+    """
+    if dataset.scheme == NO_LANDMARKS:
+        return evaluate_in_own_boxes(models, dataset.faces, load(_CALIBRATOR), progress)
+    boxes = start_boxes(dataset.faces, seed)
+    return {
+        name: evaluate(model, dataset.faces, boxes, normaliser="box", progress=progress)
+        for name, model in models.items()
+    }
 
 
 def _joined(results: Sequence[Evaluation]) -> Evaluation:
@@ -125,7 +188,15 @@ def _joined(results: Sequence[Evaluation]) -> Evaluation:
     firsts = np.cumsum([0, *(len(each.faces) for each in results)])
     problems = {
         int(first) + number: why
-        for first, each in zip(firsts, results, strict=False)
+        for first, each in zip(firsts[:-1], results, strict=True)
         for number, why in each.problems.items()
     }
-    return replace(results[0], faces=sum((each.faces for each in results), ()), problems=problems, **arrays)
+    fitted = [np.isfinite(each.landmarks).all((1, 2)).sum() for each in results]
+    seconds = sum(count * each.seconds_per_face for count, each in zip(fitted, results, strict=True) if count)
+    return replace(
+        results[0],
+        faces=sum((each.faces for each in results), ()),
+        problems=problems,
+        seconds_per_face=float(seconds / sum(fitted)) if sum(fitted) else float("nan"),
+        **arrays,
+    )

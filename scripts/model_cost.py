@@ -3,13 +3,14 @@
 import argparse
 import platform
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 import jaxfit
-from jaxfit.cascade.fit import State, advanced, features_at, state_of
+from jaxfit.cascade.fit import State, advanced, features_of, state_of
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.data.boxes import bounding_square
 from jaxfit.descriptors.descriptor import Descriptor
@@ -62,24 +63,18 @@ def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
     rng = np.random.default_rng(0)
     weights = jnp.asarray(rng.normal(0, 1e-4, (features, space.size)), jnp.float32)
     crops = jnp.asarray(rng.integers(0, 256, (FACES, frame.crop, frame.crop)), jnp.uint8)
-    states = jax.tree.map(lambda part: jnp.broadcast_to(part, (FACES, *part.shape)), state)
+    states = jax.tree.map(lambda part: jnp.broadcast_to(part, (FACES, 1, *part.shape)), state)
     prepared = jax.jit(jax.vmap(descriptor.prepare))(crops)
     window = jnp.float32(0.25 * frame.face)
 
-    def describe(prepared, state: State):
-        return features_at(descriptor, space, prepared, state, window)
+    def describe(prepared, states: State):
+        return features_of(descriptor, space, prepared, states, window)
 
-    def regress(seen, state: State) -> State:
-        return advanced(descriptor, space, state, seen @ weights)
+    def regress(seen, states: State) -> State:
+        return jax.vmap(jax.vmap(partial(advanced, descriptor, space)))(states, seen @ weights)
 
-    batched = jax.jit(
-        lambda prepared, states: jax.lax.map(lambda one: describe(*one), (prepared, states), batch_size=4)
-    )
-    step = jax.jit(
-        lambda prepared, states: jax.lax.map(
-            lambda one: regress(describe(*one), one[1]), (prepared, states), batch_size=4
-        )
-    )
+    batched = jax.jit(describe)
+    step = jax.jit(lambda prepared, states: regress(describe(prepared, states), states))
     seen = batched(prepared, states)
     # From parameters to landmarks, as compiled: nothing for SDM, whose parameters are the landmarks.
     geometry = jax.jit(space.landmarks).lower(state.params).compile().cost_analysis().get("flops", 0)
@@ -87,7 +82,7 @@ def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
         "state": space.size,
         "parameters": (features + 1) * space.size,
         "multiply-adds": features * space.size + int(geometry / 2),
-        "regression µs": microseconds(jax.jit(jax.vmap(regress)), seen, states),
+        "regression µs": microseconds(jax.jit(regress), seen, states),
         "descriptors µs": microseconds(batched, prepared, states),
         "step µs": microseconds(step, prepared, states),
     }

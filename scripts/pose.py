@@ -17,32 +17,31 @@ from matplotlib import pyplot
 from scipy.spatial.transform import Rotation
 
 import jaxfit
-from jaxfit.calibrating import evaluate_in_own_boxes
+from jaxfit.calibrating import evaluate_pose
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import Dataset
-from jaxfit.evaluating import Evaluation, evaluate, start_boxes
+from jaxfit.evaluating import Evaluation
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.plots import plot_pose_surface
 from jaxfit.evaluation.pose import (
     ANGLES,
     POSE_COLUMNS,
     compare_pose,
+    grid_centres,
     pose_errors,
     pose_grid,
     pose_grid_table,
     pose_rows,
 )
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.evaluation.tables import COMPARISON_COLUMNS, markdown_table
 from jaxfit.exceptions import InputError
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import IBUG68, NO_LANDMARKS
+from jaxfit.shapes.schemes import IBUG68
 
-PITCHES, YAWS = np.arange(-60, 61, 30.0), np.arange(-90, 91, 22.5)  # where true poses are continuous
 GROUPS = 8  # of faces by landmark error
-CALIBRATOR = "sdm68"
 
 
 def main() -> int:
@@ -91,16 +90,23 @@ def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[
     """What is said of a dataset; its figures go into the folder."""
     name = dataset.spec.partition(":")[0]
     with Bars() as bars:
-        results = measured(models, dataset, bars)
+        results = evaluate_pose(models, dataset, progress=bars)
     report_problems([*dataset.problems, *(why for result in results.values() for why in result.problems.values())])
     rows = [{"model": label, **row} for label, result in results.items() for row in rows_with_beyond(result)]
-    parts = [f"## {name}: {len(dataset.faces)} faces", markdown_table(rows, {"model": "", **POSE_COLUMNS})]
+    people = np.unique([face.subject for face in dataset.faces])
+    heading = f"## {name}: {len(dataset.faces)} faces of {len(people)} people"
+    parts = [heading, markdown_table(rows, {"model": "", **POSE_COLUMNS})]
     errors = {label: pose_errors(result.ordered_pose, result.true_pose) for label, result in results.items()}
-    for one, other in combinations(errors, 2):
-        values = compare_pose(errors[one], errors[other]).items()
-        told = ", ".join(f"{angle} {p:.1e}" for angle, p in values if not np.isnan(p))
-        parts.append(f"{one} and {other}, rank-sum p of absolute errors: {told}.")
-    centres = (None, None) if dataset.scheme == NO_LANDMARKS else (PITCHES, YAWS)
+    tests = [
+        {"model": other, "compared with": one, **row}
+        for one, other in combinations(errors, 2)
+        for row in compare_pose(errors[other], errors[one], subjects_of(results[one]))
+    ]
+    if tests:
+        columns = {"model": "", "compared with": "", "angle": "", **COMPARISON_COLUMNS}
+        told = "Tests of absolute errors; the signed-rank test takes the pictures of one person together:"
+        parts.append(f"{told}\n\n{markdown_table(tests, columns)}")
+    centres = grid_centres(next(iter(results.values())).true_pose)
     parts += [fitted_by_true(results, angle, bins) for angle, bins in zip(("pitch", "yaw"), centres, strict=True)]
     for label, result in results.items():
         figure = pyplot.figure(figsize=(11, 4.5), layout="constrained")
@@ -120,10 +126,18 @@ def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[
 
 def rows_with_beyond(result: Evaluation) -> list[dict[str, object]]:
     """The rows of ``pose_rows``, and those of the faces that are turned farther."""
+    subjects = subjects_of(result)
     poses = result.ordered_pose, result.true_pose
     beyond = np.abs(result.true_pose[:, ANGLES.index("yaw")]) > 45
-    farther = [row for row in pose_rows(*(pose[beyond] for pose in poses)) if row["range"] == "all"]
-    return [*pose_rows(*poses), *({**row, "range": "|yaw| > 45°"} for row in farther)]
+    farther = pose_rows(*(pose[beyond] for pose in poses), subjects[beyond])
+    return [
+        *pose_rows(*poses, subjects),
+        *({**row, "range": "|yaw| > 45°"} for row in farther if row["range"] == "all"),
+    ]
+
+
+def subjects_of(result: Evaluation) -> np.ndarray:
+    return np.array([face.subject for face in result.faces])
 
 
 def fitted_by_true(results: Mapping[str, Evaluation], angle: str, centres: np.ndarray | None) -> str:
@@ -139,14 +153,6 @@ def fitted_by_true(results: Mapping[str, Evaluation], angle: str, centres: np.nd
         rows.append({"model": label, **{f"{value:g}": mean for value, mean in zip(labels, means, strict=True)}})
     columns = {"model": "", **dict.fromkeys(list(rows[0])[1:], ".0f")}
     return f"Mean fitted {angle} where the true one is (nearest to) so many degrees:\n\n{markdown_table(rows, columns)}"
-
-
-def measured(models: Mapping[str, Model], dataset: Dataset, bars: Bars) -> dict[str, Evaluation]:
-    """The evaluation of each model; without landmarks one subject after the other."""
-    if dataset.scheme != NO_LANDMARKS:
-        boxes = start_boxes(dataset.faces)
-        return {label: evaluate(model, dataset.faces, boxes, progress=bars) for label, model in models.items()}
-    return evaluate_in_own_boxes(models, dataset.faces, jaxfit.load(CALIBRATOR), bars)
 
 
 def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:

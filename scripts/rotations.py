@@ -154,7 +154,7 @@ def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degree
 def fit_all(cascade, crops, rotations):
     """The fits of every crop from every rotation: (faces, starts, landmarks, 2)."""
     starts = starts_of(cascade.space, cascade.frame, rotations)
-    return jax.lax.map(lambda crop: fit_starts(cascade, crop, starts), crops)
+    return fit_starts(cascade, crops, starts)
 
 
 def turn(face: FaceRecord, degrees: float) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import pytest
 
 import jaxfit
 from jaxfit.calibrating import evaluate_in_own_boxes, frontal
+from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
 from jaxfit.shapes.schemes import NO_LANDMARKS
@@ -83,21 +84,30 @@ def test_only_heads_that_look_ahead_tell_how_faces_lie(boxed: list[FaceRecord]) 
 
 def test_who_is_tested_does_not_tell_how_boxes_lie(boxed: list[FaceRecord], monkeypatch: pytest.MonkeyPatch) -> None:
     model = jaxfit.load("sdm68")
-    measured = []
+    looked, measured = [], []
 
-    def calibrate(calibrator, faces, progress):
-        measured.append([face.face for face in faces])
-        return calibrator.placement("square")
+    def detected(grey: np.ndarray) -> list:
+        looked.append(grey.shape)
+        return detect_faces(grey)
 
-    monkeypatch.setattr("jaxfit.calibrating.calibrate_boxes", calibrate)
+    def measure(boxes, landmarks, mean, face):
+        measured.append(boxes.tolist())
+        return model.placement("square")
+
+    monkeypatch.setattr("jaxfit.calibrating.detect_faces", detected)
+    monkeypatch.setattr("jaxfit.calibrating.measure_placement", measure)
+    monkeypatch.setattr("jaxfit.calibrating._FEWEST", 2)
     people = [replace(face, subject=f"person{number % 2}") for number, face in enumerate(boxed[:4])]
+    turned = replace(people[1], pose=np.array([0.0, 0.0, 60.0]), face="turned")
     lost = replace(people[0], image=Path("missing.png"), face="lost")
-    (result,) = evaluate_in_own_boxes({"mine": model}, [*people, lost], model).values()
-    assert measured == [["1", "3"], ["0", "2", "lost"]]
-    assert [face.face for face in result.faces] == ["0", "2", "lost", "1", "3"]
+    (result,) = evaluate_in_own_boxes({"mine": model}, [*people, turned, lost], model).values()
+    assert len(looked) == 4  # at each picture that looks ahead, once
+    assert measured == [[boxed[1].box.tolist(), boxed[3].box.tolist()], [boxed[0].box.tolist(), boxed[2].box.tolist()]]
+    assert [face.face for face in result.faces] == ["0", "2", "lost", "1", "3", "turned"]
     assert list(result.problems) == [2]
-    assert np.isfinite(result.landmarks[[0, 1, 3, 4]]).all()
+    assert np.isfinite(result.landmarks[[0, 1, 3, 4, 5]]).all()
     assert np.isnan(result.landmarks[2]).all()
     assert result.pose is None
+    assert result.seconds_per_face > 0
     with pytest.raises(jaxfit.InputError, match="two subjects or more"):
         evaluate_in_own_boxes({"mine": model}, people[::2], model)

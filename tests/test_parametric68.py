@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxfit
-from jaxfit.cascade.fit import features_at, fit_starts, state_of
+from jaxfit.cascade.fit import features_of, fit_starts, state_of
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.crops import cut_face
 from jaxfit.data.images import to_grey
@@ -89,7 +89,9 @@ def seen(model) -> Callable:
     def seen(crop, factor):
         params = cascade.space.place(start_at(cascade.frame, 1.0)._replace(scale=factor))
         state = state_of(cascade.descriptor, cascade.space, params)
-        return features_at(cascade.descriptor, cascade.space, cascade.descriptor.prepare(crop), state, window)
+        states = jax.tree.map(lambda part: part[None, None], state)
+        prepared = jax.vmap(cascade.descriptor.prepare)(crop[None])
+        return features_of(cascade.descriptor, cascade.space, prepared, states, window)[0, 0]
 
     return seen
 
@@ -120,7 +122,7 @@ def test_a_face_of_another_size_is_fitted_alike(model, portrait, upright, factor
     fits = []
     for crop, size in zip(faces_of_sizes(portrait, upright, frame, [1.0, factor]), [1.0, factor], strict=True):
         start = jax.tree.map(lambda part: part[None], start_at(frame, size))
-        fits.append((np.asarray(fit(model.cascade, jnp.asarray(crop), start))[0] - frame.middle) / size)
+        fits.append((np.asarray(fit(model.cascade, jnp.asarray(crop)[None], start))[0, 0] - frame.middle) / size)
     assert apart(fits[1], fits[0], fits[0]) < bound
 
 
@@ -130,7 +132,8 @@ def test_the_whole_cascade_has_finite_derivatives_on_a_real_face(model, portrait
     truth = jnp.asarray(crops.from_images(upright[None])[0], jnp.float32)
 
     def loss(cascade, start: Start):
-        return jnp.mean((fit_starts(cascade, crop, jax.tree.map(lambda part: part[None], start))[0] - truth) ** 2)
+        fitted = fit_starts(cascade, crop[None], jax.tree.map(lambda part: part[None], start))[0, 0]
+        return jnp.mean((fitted - truth) ** 2)
 
     start = Start(jnp.array([100.0, 108.0]), jnp.float32(1.1), jnp.float32(0.2))
     # Compiled without optimisation, which would take twice as long and changes nothing here.

@@ -1,6 +1,5 @@
 """Running a cascade: one face from one start; then a batch of crops, each from one or several starts."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple, cast
 
@@ -17,10 +16,10 @@ from jaxfit.image.frame import Frame
 from jaxfit.shapes.asm import Coefficients
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.space import ShapeSpace, Start, rotate
-from jaxfit.types import Crop, Features, Landmarks, Landmarks3D, Params, Point, Scalar
+from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Point, Scalar
 
-# Fits whose windows are sampled together: few enough to stay in the processor's cache.
-SAMPLED_AT_ONCE = 4
+# Few, as they wait for each other; several, as a single one does not fill the processor's vectors.
+_ALIGNED_AT_ONCE = 4
 _FAR = 1e4  # pixels, many crops
 # Degrees: what several starts cover unless told otherwise. Faces upside down are left out, as in the thesis.
 ANY_ROTATION = (-90.0, 90.0)
@@ -59,12 +58,31 @@ def landmarks_of(space: ShapeSpace, state: State) -> Landmarks:
     return rotate(space.landmarks(state.params), state.angle)
 
 
-def features_at(descriptor: Descriptor, space: ShapeSpace, prepared: Any, state: State, window: Scalar) -> Features:
-    """The concatenated descriptors of one face; ``window`` is the side, in pixels, for a face of scale 1."""
-    side = window * space.scale(state.params)
-    points = landmarks_of(space, state)
-    described = vmap(lambda point: descriptor.describe(prepared, point, side, state.angle))(points)
-    return described.reshape(-1)
+def features_of(
+    descriptor: Descriptor, space: ShapeSpace, prepared: Any, states: State, window: Scalar
+) -> Float[Array, "faces starts features"]:
+    """The concatenated descriptors of states (faces, starts), in crops (faces) that the descriptor has prepared.
+
+    ``window`` is the side, in pixels, for a face of scale 1.
+    """
+    points = vmap(vmap(partial(landmarks_of, space)))(states)
+    sides = window * vmap(vmap(space.scale))(states.params)
+
+    def of_start(level: int, prepared: Any, start: tuple[Landmarks, Scalar, Scalar]) -> Array:
+        points, side, angle = start
+        return vmap(lambda point: descriptor.describe(prepared, level, point, side, angle))(points)
+
+    def of_faces(level: int) -> Float[Array, "faces starts landmarks cells bins"]:
+        def of_face(face: tuple[Any, Array, Array, Array]) -> Array:
+            prepared, *starts = face
+            return lax.map(partial(of_start, level, prepared), tuple(starts))
+
+        # One start after the other: what is looked up then stays in the processor's cache.
+        return lax.map(of_face, (prepared, points, sides, states.angle))
+
+    found = lax.switch(descriptor.level(window), [partial(of_faces, level) for level in range(descriptor.levels)])
+    features = vmap(vmap(vmap(descriptor.normalise)))(found)
+    return features.reshape(*features.shape[:2], points.shape[2] * descriptor.size)
 
 
 def target_of(descriptor: Descriptor, space: ShapeSpace, landmarks: Landmarks) -> State:
@@ -83,27 +101,25 @@ def advanced(descriptor: Descriptor, space: ShapeSpace, state: State, step: Floa
     return followed(descriptor, space, State(space.advance(state.params, step), state.angle))
 
 
-def fit_state(cascade: Cascade, prepared: Any, state: State) -> State:
-    """Fit one face from one state: the whole cascade, on a crop that the descriptor has prepared."""
-    return _descend(cascade, prepared, state)[0]
+def descend(cascade: Cascade, prepared: Any, states: State) -> tuple[State, State]:
+    """The whole cascade, from states (faces, starts) in crops (faces) that the descriptor has prepared.
 
-
-def fit_trace(cascade: Cascade, prepared: Any, state: State) -> State:
-    """The states after each step of `fit_state` (a leading axis): what cascades of fewer steps would end with."""
-    return _descend(cascade, prepared, state)[1]
-
-
-def _descend(cascade: Cascade, prepared: Any, state: State) -> tuple[State, State]:
-    """The state after the last step, and those after each."""
+    Returns:
+        The states after the last step; and those after each step, in a leading axis: what cascades of fewer steps
+        would end with.
+    """
     descriptor, space = cascade.descriptor, cascade.space
+    move = vmap(vmap(partial(advanced, descriptor, space)))
 
-    def step(state: State, layer: tuple[Array, Array, Array]) -> tuple[State, State]:
-        weights, bias, window = layer
-        seen = features_at(descriptor, space, prepared, state, window)
-        state = advanced(descriptor, space, state, seen @ weights + bias)
-        return state, state
+    def step(states: State, layer: tuple[Array, Array, Array, Array | None]) -> tuple[State, State]:
+        weights, bias, window, directions = layer
+        features = features_of(descriptor, space, prepared, states, window)
+        # All faces and starts at once, so that the weights, megabytes, are read once.
+        found = features @ weights
+        states = move(states, (found if directions is None else found @ directions) + bias)
+        return states, states
 
-    return lax.scan(step, state, (cascade.weights, cascade.biases, cascade.windows))
+    return lax.scan(step, states, (cascade.weights, cascade.biases, cascade.windows, cascade.directions))
 
 
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
@@ -117,7 +133,9 @@ def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
     orientation bins of its descriptors.
     """
     descriptor, space = cascade.descriptor, cascade.space
-    fitted = fit_state(cascade, descriptor.prepare(crop), state_of(descriptor, space, params))
+    alone = partial(jax.tree.map, lambda part: part[None])
+    state = alone(alone(state_of(descriptor, space, params)))
+    fitted = jax.tree.map(lambda part: part[0, 0], descend(cascade, alone(descriptor.prepare(crop)), state)[0])
     if not descriptor.turns:
         return fitted.params
     if space.closed_under_rotation:
@@ -191,19 +209,11 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
     return jnp.argmin(jnp.where(finite, sums, jnp.inf))
 
 
-def fit_starts(cascade: Cascade, crop: Crop, starts: Start) -> Float[Array, "starts landmarks 2"]:
-    """Fit one face from several starts (a leading axis): the landmarks of every fit."""
-    return vmap(partial(landmarks_of, cascade.space))(_fit_states(cascade, crop, starts, fit_state))
-
-
-def _fit_states(cascade: Cascade, crop: Crop, starts: Start, descend: Callable[[Cascade, Any, State], State]) -> State:
-    space = cascade.space
-    prepared = cascade.descriptor.prepare(crop)
-
-    def fitted(start: Start) -> State:
-        return descend(cascade, prepared, state_of(cascade.descriptor, space, space.place(start)))
-
-    return lax.map(fitted, starts, batch_size=SAMPLED_AT_ONCE)
+def fit_starts(
+    cascade: Cascade, crops: UInt8[Array, "faces height width"], starts: Start
+) -> Float[Array, "faces starts landmarks 2"]:
+    """Fit every crop from several starts (a leading axis): the landmarks of every fit."""
+    return vmap(vmap(partial(landmarks_of, cascade.space)))(_descend_from(cascade, crops, starts)[0])
 
 
 @partial(jax.jit, static_argnames="every_step")
@@ -225,7 +235,8 @@ def fit_crops(
     Raises:
         InputError: crops of another size, or no rotations.
     """
-    return _fit_each(cascade, crops, rotations, lambda state: landmarks_of(cascade.space, state), every_step)
+    landmarks = vmap(partial(landmarks_of, cascade.space))
+    return (vmap(landmarks) if every_step else landmarks)(_best(cascade, crops, rotations, every_step))
 
 
 class Heads(NamedTuple):
@@ -283,32 +294,37 @@ def fit_heads(
         params = regressed if head is None else head.encode(landmarks, refine)
         return Heads(landmarks, solid.landmarks_3d(params), solid.pose(params), solid.scale(params), solid.b(params))
 
-    return _fit_each(cascade, crops, rotations, heads, every_step)
+    # Alignments take rounds until they converge: side by side, all would take as many as the slowest.
+    each = partial(lax.map, heads, batch_size=_ALIGNED_AT_ONCE)
+    states = _best(cascade, crops, rotations, every_step)
+    return lax.map(each, states) if every_step else each(states)
 
 
-def _fit_each(
+def _best(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None,
-    result: Callable[[State], Any],
     every_step: bool,
-) -> Any:
-    """What ``result`` makes of the best fit of each crop; with ``every_step``, of the best after each step."""
+) -> State:
+    """The state (faces) of each crop's best fit; with ``every_step`` (faces, steps), of the best after each step."""
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
     rotations = jnp.zeros(1) if rotations is None else rotations
     if len(rotations) == 0:
         raise InputError("expected at least one rotation to start from; got none")
-    starts = starts_of(cascade.space, cascade.frame, rotations)
+    last, each = _descend_from(cascade, crops, starts_of(cascade.space, cascade.frame, rotations))
 
-    def of_best(states: State) -> Any:
-        best = centroid(vmap(partial(landmarks_of, cascade.space))(states))
-        return result(jax.tree.map(lambda values: values[best], states))
+    def best(states: State) -> State:
+        chosen = centroid(vmap(partial(landmarks_of, cascade.space))(states))
+        return jax.tree.map(lambda values: values[chosen], states)
 
-    def fitted(crop: Crop) -> Any:
-        if every_step:
-            return vmap(of_best, in_axes=1)(_fit_states(cascade, crop, starts, fit_trace))
-        return of_best(_fit_states(cascade, crop, starts, fit_state))
+    return vmap(vmap(best), out_axes=1)(each) if every_step else vmap(best)(last)
 
-    return lax.map(fitted, crops, batch_size=max(1, SAMPLED_AT_ONCE // len(rotations)))
+
+def _descend_from(cascade: Cascade, crops: UInt8[Array, "faces height width"], starts: Start) -> tuple[State, State]:
+    """`descend` in crops, from the same starts in each of them."""
+    descriptor, space = cascade.descriptor, cascade.space
+    states = vmap(lambda start: state_of(descriptor, space, space.place(start)))(starts)
+    states = jax.tree.map(lambda part: jnp.broadcast_to(part, (len(crops), *part.shape)), states)
+    return descend(cascade, vmap(descriptor.prepare)(crops), states)

@@ -1,6 +1,7 @@
 """Linear regression of steps from features: moments summed over batches, then PCA and least squares with intercept."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 from jax import lax, vmap
@@ -129,3 +130,17 @@ def solve(moments: Moments, ridge: Float[Array, ""]) -> tuple[Float[Array, "feat
     components = vmap(lambda a, b: jnp.linalg.lstsq(a, b)[0][0])(rows, right)
     weights = jnp.matmul(axes, components, precision=_EXACT)
     return weights, mean_y - jnp.matmul(mean_x, weights, precision=_EXACT)
+
+
+@partial(jax.jit, static_argnames="rank")
+def main_directions(
+    moments: Moments, weights: Float[Array, "features params"], rank: int
+) -> Float[Array, "rank params"]:
+    """The orthonormal directions in which what ``weights`` predict for the samples varies most.
+
+    Regressing along these alone is reduced-rank regression (Izenman 1975) with all parameters weighted alike.
+    """
+    mean = moments.x / moments.count
+    covariance = moments.xx / moments.count - jnp.outer(mean, mean)
+    predicted = jnp.matmul(weights.T, jnp.matmul(covariance, weights, precision=_EXACT), precision=_EXACT)
+    return jnp.linalg.eigh(predicted)[1][:, ::-1][:, :rank].T

@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -11,9 +12,9 @@ from jax import lax, random, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from jaxfit.cascade.fit import SAMPLED_AT_ONCE, State, advanced, features_at, state_of, step_to, target_of
+from jaxfit.cascade.fit import State, advanced, features_of, state_of, step_to, target_of
 from jaxfit.cascade.model import Cascade
-from jaxfit.cascade.regression import Moments, Projection, principal_axes, solve
+from jaxfit.cascade.regression import Moments, Projection, main_directions, principal_axes, solve
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -81,6 +82,32 @@ def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"
     return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
+class _Layer(NamedTuple):
+    """A regressor: weights (F, R) and bias (P,), and the directions (R, P) of its outputs; None if they are all."""
+
+    weights: Array
+    bias: Array
+    directions: Array | None
+
+
+def _predicted(features: Float[Array, "*samples features"], layer: _Layer) -> Float[Array, "*samples params"]:
+    found = jnp.matmul(features, layer.weights, precision=lax.Precision.HIGHEST)
+    if layer.directions is not None:
+        found = jnp.matmul(found, layer.directions, precision=lax.Precision.HIGHEST)
+    return found + layer.bias
+
+
+def _solved(moments: Moments, ridge: Scalar, rank: int | None) -> _Layer:
+    weights, bias = solve(moments, ridge)
+    if rank is None or rank >= weights.shape[1]:
+        return _Layer(weights, bias, None)
+    directions = main_directions(moments, weights, rank)
+    weights = jnp.matmul(weights, directions.T, precision=lax.Precision.HIGHEST)
+    alone = _Layer(weights, jnp.zeros_like(bias), directions)
+    # Means stay what they are, however few the directions.
+    return alone._replace(bias=(moments.y - _predicted(moments.x, alone)) / moments.count)
+
+
 @partial(jax.jit, static_argnames="descriptor")
 def _targets(descriptor: Descriptor, space: ShapeSpace, landmarks: Float[Array, "faces landmarks 2"]) -> State:
     return vmap(partial(target_of, descriptor, space))(landmarks)
@@ -115,12 +142,8 @@ def _describe(
     states: State,
     window: Scalar,
 ) -> Float[Array, "faces augmentations features"]:
-    def face(inputs: tuple[Array, Array, State]) -> Array:
-        crop, flip, states = inputs
-        prepared = descriptor.prepare(jnp.where(flip, crop[:, ::-1], crop))
-        return vmap(lambda state: features_at(descriptor, space, prepared, state, window))(states)
-
-    return lax.map(face, (crops, mirrored, states), batch_size=SAMPLED_AT_ONCE)
+    seen = jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops)
+    return features_of(descriptor, space, vmap(descriptor.prepare)(seen), states, window)
 
 
 @jax.jit
@@ -154,11 +177,13 @@ def _advance(
 
 
 @jax.jit
-def _unfolded(projection: Projection, weights: Array, bias: Array) -> tuple[Array, Array]:
-    """Weights and bias on the raw features, rounded to what model files store, so that saving changes nothing."""
-    weights = jnp.matmul(projection.axes, weights, precision=lax.Precision.HIGHEST)
+def _unfolded(projection: Projection, layer: _Layer) -> _Layer:
+    """A regressor of principal components as one of the raw features, rounded to what model files store, so that saving
+    changes nothing."""
+    weights = jnp.matmul(projection.axes, layer.weights, precision=lax.Precision.HIGHEST)
     weights = weights.astype(jnp.float16).astype(jnp.float32)
-    return weights, bias - jnp.matmul(projection.mean, weights, precision=lax.Precision.HIGHEST)
+    mean = _predicted(projection.mean, layer._replace(weights=weights, bias=jnp.zeros_like(layer.bias)))
+    return _Layer(weights, layer.bias - mean, layer.directions)
 
 
 def train_cascade(
@@ -172,6 +197,7 @@ def train_cascade(
     augmentations: int,
     variance: float,
     ridge: float,
+    rank: int | None = None,
     seed: int,
     turn: float = 0.0,
     progress: Progress = lambda stage, done, total: None,
@@ -192,6 +218,7 @@ def train_cascade(
         augmentations: starts drawn for each face.
         variance: share of variance that the PCA of the features keeps, in (0, 1].
         ridge: ridge strength, relative to the mean variance of a kept component.
+        rank: how many directions each step is taken along, those in which what it predicts varies most; None: all.
         seed: of the starts; the same seed, machine and number of cores give the same bits.
         turn: by how many radians more, at most, the starts are turned, evenly in both directions.
         progress: called with the stage's name, what is done and what there is to do.
@@ -201,10 +228,12 @@ def train_cascade(
     """
     # Worded so that NaN is refused, too.
     possible = windows and all(window > 0 for window in windows) and augmentations >= 1 and ridge >= 0
+    possible = possible and (rank is None or rank >= 1)
     if not possible or len(faces.source) == 0:
         raise InputError(
-            "expected at least one step, windows > 0, augmentations >= 1, ridge >= 0 and at least one face; got "
-            f"windows {windows}, augmentations {augmentations}, ridge {ridge}, {len(faces.source)} faces"
+            "expected at least one step, windows > 0, augmentations >= 1, ridge >= 0, rank >= 1 and at least one face; "
+            f"got windows {windows}, augmentations {augmentations}, ridge {ridge}, rank {rank}, "
+            f"{len(faces.source)} faces"
         )
     count = len(faces.source)
     size = max(1, min(_BATCH // augmentations, count))
@@ -262,17 +291,19 @@ def train_cascade(
                 features = described(rows, window)
                 moments, reduced = _observe(projection, moments, features, steps, jnp.asarray(valid))
                 components.write(np.asarray(reduced).tobytes())
-            weights, bias = solve(moments, jnp.float32(ridge))
-            layers.append(jax.tree.map(np.asarray, _unfolded(projection, weights, bias)))
+            layer = _solved(moments, jnp.float32(ridge), rank)
+            layers.append(jax.tree.map(np.asarray, _unfolded(projection, layer)))
             components.seek(0)
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
                 reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
-                put(rows, _advance(descriptor, space, taken(rows), jnp.asarray(reduced) @ weights + bias))
+                put(rows, _advance(descriptor, space, taken(rows), _predicted(jnp.asarray(reduced), layer)))
+    stacked = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts)), *layers)
     return Cascade(
         space=space,
-        weights=jnp.asarray(np.stack([weights for weights, _ in layers])),
-        biases=jnp.asarray(np.stack([bias for _, bias in layers])),
+        weights=stacked.weights,
+        biases=stacked.bias,
         windows=jnp.asarray(windows, jnp.float32) * frame.face,
         descriptor=descriptor,
         frame=frame,
+        directions=stacked.directions,
     )

@@ -12,6 +12,8 @@ import numpy as np
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.records import Dataset
+from jaxfit.descriptors import DESCRIPTORS
+from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -112,6 +114,12 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--augmentations", type=int, default=_DEFAULT.augmentations, help="starts drawn a face")
     command.add_argument("--variance", type=float, default=_DEFAULT.variance, help="share kept by the features' PCA")
     command.add_argument("--ridge", type=float, default=_DEFAULT.ridge, help="ridge strength; 0 is least squares")
+    command.add_argument(
+        "--rank",
+        type=int,
+        help="directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
+        "unless given, all",
+    )
     command.add_argument("--spread", type=float, default=_DEFAULT.spread, help="factor on the spread of the starts")
     command.add_argument(
         "--shape-variance", type=float, default=_DEFAULT.shape_variance, help="share kept by the shape model's PCA"
@@ -131,28 +139,49 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument(
+        "--descriptor",
+        choices=list(DESCRIPTORS),
+        default="sift",
+        help="what is seen at a landmark: sift, or dense, which is much faster (default sift)",
+    )
+    command.add_argument(
         "--orientation",
         choices=ORIENTATIONS,
         help="of windows; unless said otherwise they turn with the face, but are upright for sdm from a single start; "
         "in upright ones turned faces are not found",
     )
-    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of descriptors; vector unless said otherwise")
-    command.add_argument("--crop", type=int, default=Frame().crop, help="side of the crops, in pixels")
-    command.add_argument("--face", type=float, default=Frame().face, help="side of the face in them, in pixels")
+    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of sift; vector unless said otherwise")
+    command.add_argument("--crop", type=int, help="side of the crops, in pixels; unless given it suits the descriptor")
+    command.add_argument("--face", type=float, help="side of the face in them, in pixels; unless given, likewise")
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
+
+
+def described(kind: str, usual: Descriptor, choices: dict[str, str | None]) -> Descriptor:
+    """A descriptor of a kind, with what was chosen of it; its windows otherwise turn if those of the usual one do.
+
+    Raises:
+        InputError: a choice that this kind does not have.
+    """
+    chosen = {name: value for name, value in choices.items() if value is not None}
+    plain: Any = DESCRIPTORS[kind](orientation="face" if usual.turns else "upright")
+    for name in chosen:
+        if not hasattr(plain, name):
+            raise InputError(f"the descriptor {kind} has no {name}: leave out --{name}, or take another --descriptor")
+    return replace(plain, **chosen)
 
 
 def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
     """The options of training that the command line gives; faces of unknown landmarks are not mirrored."""
-    described = {"orientation": arguments.orientation, "normalisation": arguments.normalisation}
-    described = {name: value for name, value in described.items() if value is not None}
-    usual: Any = default_descriptor(method, arguments.initialisations)
-    descriptor = replace(usual, **described) if described else None
+    usual = default_descriptor(method, arguments.initialisations)
+    choices = {"orientation": arguments.orientation, "normalisation": arguments.normalisation}
+    descriptor = described(arguments.descriptor, usual, choices)
+    frame = descriptor.frame
     return Options(
         windows=tuple(arguments.windows),
         augmentations=arguments.augmentations,
         variance=arguments.variance,
         ridge=arguments.ridge,
+        rank=arguments.rank,
         spread=arguments.spread,
         initialisations=arguments.initialisations,
         rotations=tuple(arguments.rotations),
@@ -162,8 +191,9 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         mirror=not arguments.no_mirror and scheme.mirror is not None,
         haar=not arguments.no_haar,
         seed=arguments.seed,
-        descriptor=descriptor,
-        frame=Frame(arguments.crop, arguments.face),
+        # Left open where it is the usual one, which depends on the other options.
+        descriptor=None if descriptor == usual else descriptor,
+        frame=Frame(arguments.crop or frame.crop, arguments.face or frame.face),
     )
 
 
@@ -171,10 +201,11 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
     """The method and the options that ``NAME`` or ``NAME:key=value,key=value`` asks for.
 
     A key is the name of an option, of a number of the frame or of a choice of the descriptor; what has no key is as
-    ``otherwise(method)`` has it. Several numbers are separated by commas too: ``windows=0.4,0.3``.
+    ``otherwise(method)`` has it. ``descriptor=dense`` takes another descriptor, with the crops that suit
+    it. Several numbers are separated by commas too: ``windows=0.4,0.3``.
 
     Raises:
-        InputError: an unknown method or key, or a value that the option cannot have.
+        InputError: an unknown method, descriptor or key, or a value that the option cannot have.
     """
     method, colon, rest = text.partition(":")
     if method not in METHODS:
@@ -182,6 +213,11 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
     # A comma before key= ends a value, any other is inside one.
     texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
     options = otherwise(method)
+    if kind := texts.pop("descriptor", None):
+        if kind not in DESCRIPTORS:
+            raise InputError(f"--method {text}: expected a descriptor among {', '.join(DESCRIPTORS)}; got {kind!r}")
+        usual = default_descriptor(method, options.initialisations)
+        options = replace(options, descriptor=described(kind, usual, {}), frame=DESCRIPTORS[kind]().frame)
     descriptor = options.descriptor or default_descriptor(method, options.initialisations)
     parts: dict[str, Any] = {"descriptor": descriptor, "frame": options.frame}
     known = {key: value for key, value in vars(options).items() if key not in parts}
@@ -205,8 +241,8 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
 def _read_like(default: Any, key: str, text: str) -> Any:
     """What ``text`` says, in the type of ``default``."""
     try:
-        if default is None:  # of which there is one: the radius of the ellipsoid
-            return None if text == "None" else float(text)
+        if default is None:  # of which there are two: the radius of the ellipsoid, and the rank
+            return None if text == "None" else int(text) if key == "rank" else float(text)
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):

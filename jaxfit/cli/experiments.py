@@ -10,11 +10,11 @@ from pathlib import Path
 from jaxfit.cli.arguments import out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.evaluation.tables import text_table
-from jaxfit.exceptions import InputError
 from jaxfit.experiments.cells import Cell, plan
 from jaxfit.experiments.config import read_config
 from jaxfit.experiments.lab import Lab
-from jaxfit.experiments.report import write_report
+from jaxfit.experiments.page import write_document
+from jaxfit.experiments.report import document
 from jaxfit.experiments.results import read_results
 from jaxfit.experiments.running import SETTINGS, Standing, keep_settings, probe_pace, run, standing
 
@@ -101,8 +101,10 @@ def _dry_run(lab: Lab) -> int:
     rows = [{"cells": kind, "in all": count, "done": done[kind]} for kind, count in kinds.items()]
     for name, faces in lab.faces.items():
         print(f"{name}: {len(faces.records)} faces with all {faces.scheme.count} landmarks ({faces.scheme.name})")
+    report_problems([problem for faces in lab.faces.values() for problem in faces.problems])
     print(text_table(rows, {"cells": "", "in all": "d", "done": "d"}))
-    how = "by the pace so far" if state.done else "by a short measurement on this machine"
+    measured = "by a short measurement on this machine; what was never compiled here takes minutes more"
+    how = "by the pace so far" if state.done else measured
     print(
         f"{state.cells - state.done} of {state.cells} cells to run; one process takes about {duration(seconds)}, {how}"
     )
@@ -112,12 +114,11 @@ def _dry_run(lab: Lab) -> int:
 def report_command(options: argparse.Namespace) -> int:
     """Write the report."""
     folder = Path(options.folder)
-    if not (folder / SETTINGS).is_file():
-        raise InputError(f"{folder}: expected results of jaxfit experiments run, found none; check the path")
+    results = read_results(folder)
     target = out_folder(options.out or str(folder / "report"))
-    missing = write_report(folder, target, pictures=not options.no_pictures)
-    if missing:
-        print(f"{missing} cells are not run yet; what needs them is left out", file=sys.stderr)
+    write_document(document(results, pictures=not options.no_pictures), target)
+    if results.missing:
+        print(f"{results.missing} cells are not run yet; what needs them is left out", file=sys.stderr)
     print(f"written: {target / 'report.html'}, tables, figures")
     return 0
 

@@ -1,6 +1,7 @@
 """What a landmark's neighbourhood looks like, as a vector; pure JAX, for one landmark."""
 
+from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
 
 # What model files call the descriptors; a new one is a line here.
-DESCRIPTORS = {"sift": Sift}
+DESCRIPTORS = {"sift": Sift, "dense": Dense}

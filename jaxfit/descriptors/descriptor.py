@@ -1,13 +1,23 @@
 """The seam for descriptors: what the cascade asks of one."""
 
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
+from jax import lax
+from jaxtyping import Array, Float, Int
+
+from jaxfit.image.frame import Frame
 from jaxfit.types import Crop, Features, Point, Scalar
 
 
 @runtime_checkable
 class Descriptor(Protocol):
     """Describes a landmark's neighbourhood; immutable and hashable, so that it can be part of a compiled function."""
+
+    @property
+    def frame(self) -> Frame:
+        """The crops that suit it."""
+        ...
 
     @property
     def size(self) -> int:
@@ -19,13 +29,37 @@ class Descriptor(Protocol):
         """Whether the window turns with the face: the cascade then works in a frame that is upright for the face."""
         ...
 
+    @property
+    def levels(self) -> int:
+        """At how many resolutions it looks."""
+        ...
+
+    def level(self, window: Scalar) -> Int[Array, ""]:
+        """At which of them, from 0, windows are looked at that measure ``window`` pixels on a face of scale 1."""
+        ...
+
     def prepare(self, crop: Crop) -> Any:
         """What is computed once per face, whatever the number of landmarks, steps and initialisations."""
         ...
 
-    def describe(self, prepared: Any, point: Point, side: Scalar, angle: Scalar) -> Features:
-        """The vector of one landmark at ``point``, in a window of ``side`` pixels.
+    def describe(
+        self, prepared: Any, level: int, point: Point, side: Scalar, angle: Scalar
+    ) -> Float[Array, "cells bins"]:
+        """The histograms of one landmark at ``point``, in a window of ``side`` pixels.
 
         ``angle``, in radians, clockwise as seen, is that of the face; a window that does not turn ignores it.
         """
         ...
+
+    def normalise(self, histograms: Float[Array, "cells bins"]) -> Features:
+        """The histograms as the landmark's vector."""
+        ...
+
+
+def describe_point(descriptor: Descriptor, prepared: Any, point: Point, side: Scalar, angle: Scalar) -> Features:
+    """The vector of one landmark, in a window of ``side`` pixels; arguments are those of `Descriptor.describe`."""
+
+    def at(level: int) -> Features:
+        return descriptor.normalise(descriptor.describe(prepared, level, point, side, angle))
+
+    return lax.switch(descriptor.level(side), [partial(at, level) for level in range(descriptor.levels)])

@@ -9,7 +9,9 @@ from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxfit.descriptors.normalise import unit_cells, unit_length
 from jaxfit.exceptions import InputError
+from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import Packed, bilinear, bilinear_grid, pack
 from jaxfit.image.smoothing import smooth
 from jaxfit.types import Crop, Features, Picture, Point, Scalar
@@ -59,6 +61,11 @@ class Sift:
             )
 
     @property
+    def frame(self) -> Frame:
+        """The crops that suit it."""
+        return Frame()
+
+    @property
     def size(self) -> int:
         """Length of one landmark's vector."""
         return CELLS * CELLS * BINS
@@ -68,13 +75,24 @@ class Sift:
         """Whether the window turns with the face."""
         return self.orientation != "upright"
 
+    @property
+    def levels(self) -> int:
+        """One: samples are spread over the window."""
+        return 1
+
+    def level(self, window: Scalar) -> Int[Array, ""]:
+        """The only one."""
+        return jnp.zeros((), jnp.int32)
+
     def prepare(self, crop: Crop) -> Prepared:
         """The crop, smoothed by σ = 1.6 pixels."""
         smoothed = smooth(crop.astype(jnp.float32))
         return Prepared(smoothed, pack(smoothed))
 
-    def describe(self, prepared: Prepared, point: Point, side: Scalar, angle: Scalar) -> Features:
-        """The (128,) descriptor at ``point`` in a window of ``side`` pixels: 4 × 4 cells (rows first) × 8 bins.
+    def describe(
+        self, prepared: Prepared, level: int, point: Point, side: Scalar, angle: Scalar
+    ) -> Float[Array, "16 8"]:
+        """The histograms at ``point`` in a window of ``side`` pixels: 4 × 4 cells (rows first) × 8 bins.
 
         The 32 × 32 samples are spread over the window whatever its size, and differences are taken between
         neighbouring samples: a picture twice as large, in a window twice as large, has the same descriptor.
@@ -85,7 +103,11 @@ class Sift:
             window = rotated_window(prepared.packed, point, spacing, turn)
         else:
             window = upright_window(prepared.smoothed, point, spacing)
-        return normalise(cell_histograms(window), self.normalisation)
+        return cell_histograms(window)
+
+    def normalise(self, histograms: Float[Array, "16 8"]) -> Features:
+        """As one vector of length 128; what is empty stays zero."""
+        return unit_length(histograms) if self.normalisation == "vector" else unit_cells(histograms)
 
     def window_angle(self, prepared: Prepared, point: Point, side: Scalar, angle: Scalar) -> Scalar:
         """How far the window of ``describe`` is turned, in radians, clockwise as seen."""
@@ -161,13 +183,3 @@ def cell_histograms(window: Window) -> Float[Array, "16 8"]:
 
     cells = jnp.stack([lines(k) for k in range(BINS)]).reshape(BINS, CELLS, CELLS, side).sum(3)
     return jnp.moveaxis(cells, 0, 2).reshape(CELLS * CELLS, BINS)
-
-
-def normalise(histograms: Float[Array, "16 8"], how: Literal["cell", "vector"]) -> Features:
-    """The histograms as one vector of length 128; what is empty stays zero."""
-    if how == "cell":
-        total = histograms.sum(1, keepdims=True)
-    else:
-        squared = jnp.sum(histograms**2)
-        total = jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
-    return (histograms / jnp.where(total > 0, total, 1.0)).reshape(-1)

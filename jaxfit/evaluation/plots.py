@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import BINS, CELLS, Sift
 from jaxfit.evaluation.curves import LIMIT, auc, ced
 from jaxfit.evaluation.pose import PoseGrid
@@ -31,13 +32,15 @@ def plot_ced(
     errors_by_name: dict[str, np.ndarray],
     limit: float = LIMIT,
     ax: "matplotlib.axes.Axes | None" = None,
+    error: str = "NMED",
 ) -> "matplotlib.axes.Axes":
-    """CED curves from 0 to ``limit``, with the area under each in the legend.
+    """CED curves from 0 to ``limit``, with the area under each, up to there, in the legend.
 
     Args:
         errors_by_name: (N,) normalised errors of each method; ``inf`` is a failed fit, NaN is left out.
         limit: where the curves end, in the units of the errors.
         ax: where to draw; a new figure if None.
+        error: what is measured.
 
     Returns:
         The axes drawn on.
@@ -47,12 +50,13 @@ def plot_ced(
     """
     thresholds = np.linspace(0.0, limit, 501)
     curves = {
-        f"{name} (AUC {auc(errors, limit):.3f})": ced(errors, thresholds) for name, errors in errors_by_name.items()
+        f"{name} (AUC@{limit:g} {auc(errors, limit):.3f})": ced(errors, thresholds)
+        for name, errors in errors_by_name.items()
     }
     ax = ax if ax is not None else pyplot().subplots()[1]
     for label, shares in curves.items():
         ax.plot(thresholds, shares, label=label)
-    ax.set(xlim=(0.0, limit), ylim=(0.0, 1.0), xlabel="NMED", ylabel="share of faces")
+    ax.set(xlim=(0.0, limit), ylim=(0.0, 1.0), xlabel=error, ylabel="share of faces")
     ax.grid(alpha=0.3)
     if curves:
         ax.legend(loc="lower right")
@@ -207,7 +211,7 @@ def plot_descriptor(
 def _described(sift: Sift, crop: Crop, point: Point, side: Scalar, angle: Scalar) -> tuple[Features, Scalar]:
     """The descriptor, and how far its window is turned."""
     prepared = sift.prepare(crop)
-    return sift.describe(prepared, point, side, angle), sift.window_angle(prepared, point, side, angle)
+    return describe_point(sift, prepared, point, side, angle), sift.window_angle(prepared, point, side, angle)
 
 
 def plot_pose_surface(

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from jaxfit.evaluation.statistics import finite_or_none, rank_sum, summarise
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.evaluation.statistics import Subjects, finite_or_none, summarise
+from jaxfit.evaluation.tables import comparison_row, markdown_table
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.camera import PoseOrder
 
@@ -32,6 +32,11 @@ POSE_COLUMNS = {
     "bias": "+.2f",
     "Spearman": ".3f",
 }
+
+# Centres of the cells of grids where true poses are not a few discrete ones.
+_PITCHES, _YAWS = np.arange(-60, 61, 30.0), np.arange(-90, 91, 22.5)
+_MOST_DISCRETE = 20  # pitches, or yaws
+_CORNER = "pitch \\ yaw"  # heads the column of pitches
 
 _FRONTAL = 45.0  # degrees of true yaw, beyond which much of one side of the face is hidden
 _RANGE_LABELS = {"all": "all", f"yaw_within_{_FRONTAL:g}": f"|yaw| ≤ {_FRONTAL:g}°"}
@@ -85,7 +90,7 @@ class AngleSummary:
         faces: faces whose true angle is known.
         undetected: those of them that were not found.
         mae: mean absolute error of the found.
-        ci95: half the width of the 95 % confidence interval of ``mae``.
+        ci95: half the width of the 95 % confidence interval of ``mae``, as in ``Summary``.
         median: median absolute error, in which a face that was not found has the worst of errors.
         bias: mean signed error of the found.
         spearman: rank correlation of fitted and true angles of the found; NaN below three or if either is constant.
@@ -105,16 +110,17 @@ class AngleSummary:
         return dict(zip(("mae", "ci95", "median", "bias", "spearman"), map(finite_or_none, values), strict=True))
 
 
-def summarise_pose(fitted: np.ndarray, truth: np.ndarray) -> dict[str, AngleSummary]:
+def summarise_pose(fitted: np.ndarray, truth: np.ndarray, subjects: Subjects = None) -> dict[str, AngleSummary]:
     """Summary of each of ``ANGLES`` for poses (N, 3); see ``pose_errors``.
 
-    What too few faces leave undefined is NaN.
+    Pictures of one person are not independent: ``subjects`` say who is seen on each. What too few faces leave undefined
+    is NaN.
 
     Raises:
-        InputError: the poses are not both (N, 3).
+        InputError: the poses are not both (N, 3), or there is not one subject a face.
     """
     columns = zip(ANGLES, pose_errors(fitted, truth).T, _poses(fitted).T, _poses(truth).T, strict=True)
-    return {angle: _summarise_angle(*column) for angle, *column in columns}
+    return {angle: _summarise_angle(errors, of, true, subjects) for angle, errors, of, true in columns}
 
 
 def pose_report(fitted: np.ndarray, truth: np.ndarray) -> dict[str, dict[str, object]]:
@@ -132,21 +138,21 @@ def pose_report(fitted: np.ndarray, truth: np.ndarray) -> dict[str, dict[str, ob
             "undetected": int(np.isinf(errors).any(axis=1).sum()),
             **{angle: summary.as_json() for angle, summary in summaries.items()},
         }
-        for key, errors, summaries in _by_range(fitted, truth)
+        for key, errors, summaries in _by_range(fitted, truth, None)
     }
 
 
-def pose_rows(fitted: np.ndarray, truth: np.ndarray) -> list[dict[str, object]]:
+def pose_rows(fitted: np.ndarray, truth: np.ndarray, subjects: Subjects = None) -> list[dict[str, object]]:
     """The rows of ``POSE_COLUMNS`` for poses (N, 3), one for each range of yaw and angle.
 
     Angles of which the truth is unknown throughout a range have no row. Only the median counts faces that were not
     found.
 
     Raises:
-        InputError: the poses are not both (N, 3).
+        InputError: the poses are not both (N, 3), or there is not one subject a face.
     """
     rows = []
-    for key, _, summaries in _by_range(fitted, truth):
+    for key, _, summaries in _by_range(fitted, truth, subjects):
         for angle, of in summaries.items():
             if of.faces:
                 numbers = (of.faces, of.undetected, of.mae, of.ci95, of.median, of.bias, of.spearman)
@@ -154,18 +160,20 @@ def pose_rows(fitted: np.ndarray, truth: np.ndarray) -> list[dict[str, object]]:
     return rows
 
 
-def compare_pose(a: np.ndarray, b: np.ndarray) -> dict[str, float]:
-    """Two-sided p-value for each of ``ANGLES`` that the absolute errors of two methods differ (Table 7).
+def compare_pose(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects = None) -> list[dict[str, object]]:
+    """What ``comparison_row`` says of the absolute errors of two methods, for each angle that both could measure.
 
     Args:
-        a: (N, 3) signed errors, of ``pose_errors``; the test is ``rank_sum``.
-        b: (M, 3) of the other method.
+        errors: (N, 3) signed errors, of ``pose_errors``.
+        baseline: (N, 3) those of the other method, of the same faces.
+        subjects: who is seen on each of the N faces; None if each is a person of its own.
 
     Raises:
-        InputError: the errors are not (N, 3) and (M, 3).
+        InputError: the errors are not both (N, 3), or there is not one subject a face.
     """
-    columns = zip(ANGLES, _triples(a, "pose errors").T, _triples(b, "pose errors").T, strict=True)
-    return {angle: rank_sum(np.abs(of_a), np.abs(of_b)) for angle, of_a, of_b in columns}
+    columns = zip(ANGLES, _triples(errors, "pose errors").T, _triples(baseline, "pose errors").T, strict=True)
+    rows = [{"angle": angle, **comparison_row(np.abs(a), np.abs(b), subjects)} for angle, a, b in columns]
+    return [row for row in rows if row["faces"]]
 
 
 @dataclass(frozen=True)
@@ -221,30 +229,47 @@ def pose_grid(
     return PoseGrid(pitches, yaws, mean, count, per_cell(~found))
 
 
-def pose_grid_table(grid: PoseGrid) -> str:
-    """A Markdown table of the grid's means: rows are true pitches and columns true yaws (Appendices D and E)."""
-    headings = [f"{yaw:g}" for yaw in grid.yaws]
-    rows = [
-        {"pitch \\ yaw": pitch, **dict(zip(headings, means, strict=True))}
+def grid_centres(truth: np.ndarray) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """Pitches and yaws for ``pose_grid``: None where the true poses (N, 3) are discrete, else some that divide them."""
+    known = truth[np.isfinite(truth[:, 1:]).all(1)]
+    discrete = all(len(np.unique(known[:, ANGLES.index(angle)])) <= _MOST_DISCRETE for angle in ("pitch", "yaw"))
+    return (None, None) if discrete else (_PITCHES, _YAWS)
+
+
+def pose_grid_rows(grid: PoseGrid) -> list[dict[str, object]]:
+    """The grid's means, for tables: rows are true pitches and columns true yaws (Appendices D and E)."""
+    return [
+        {_CORNER: float(pitch), **{f"{yaw:g}": float(mean) for yaw, mean in zip(grid.yaws, means, strict=True)}}
         for pitch, means in zip(grid.pitches, grid.mean, strict=True)
     ]
-    return markdown_table(rows, {"pitch \\ yaw": "g", **dict.fromkeys(headings, ".2f")})
 
 
-def _by_range(fitted: np.ndarray, truth: np.ndarray) -> list[tuple[str, np.ndarray, dict[str, AngleSummary]]]:
+def pose_grid_columns(grid: PoseGrid) -> dict[str, str]:
+    """The columns of ``pose_grid_rows``."""
+    return {_CORNER: "g", **{f"{yaw:g}": ".1f" for yaw in grid.yaws}}
+
+
+def pose_grid_table(grid: PoseGrid) -> str:
+    """``pose_grid_rows`` as a Markdown table."""
+    return markdown_table(pose_grid_rows(grid), pose_grid_columns(grid))
+
+
+def _by_range(
+    fitted: np.ndarray, truth: np.ndarray, subjects: Subjects
+) -> list[tuple[str, np.ndarray, dict[str, AngleSummary]]]:
     """For each range of true yaw its key, and the errors (M, 3) and summaries of the faces within."""
     errors = pose_errors(fitted, truth)
     fitted, truth = _poses(fitted), _poses(truth)
     frontal = np.abs(_wrapped(truth[:, ANGLES.index("yaw")])) <= _FRONTAL
     masks = (np.ones(len(truth), dtype=bool), frontal)
     return [
-        (key, errors[within], summarise_pose(fitted[within], truth[within]))
+        (key, errors[within], summarise_pose(fitted, np.where(within[:, None], truth, np.nan), subjects))
         for key, within in zip(_RANGE_LABELS, masks, strict=True)
     ]
 
 
-def _summarise_angle(errors: np.ndarray, fitted: np.ndarray, truth: np.ndarray) -> AngleSummary:
-    absolute = summarise(np.abs(errors))
+def _summarise_angle(errors: np.ndarray, fitted: np.ndarray, truth: np.ndarray, subjects: Subjects) -> AngleSummary:
+    absolute = summarise(np.abs(errors), subjects=subjects)
     found = np.isfinite(errors)
     return AngleSummary(
         faces=absolute.measured + absolute.failed,

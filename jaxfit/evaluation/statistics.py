@@ -10,6 +10,9 @@ from scipy import stats
 from jaxfit.evaluation.curves import LIMIT, areas, auc, failure_rate, failures, measurable
 from jaxfit.exceptions import InputError
 
+# Who is seen on each face; None if each is a person of its own.
+Subjects = Sequence[str] | np.ndarray | None
+
 # Draws of the bootstrap that are held in memory at once, with what is drawn some 25 MB.
 _DRAWS = 2**20
 SAMPLES = 2000
@@ -25,7 +28,7 @@ class Summary:
         failed: faces without a fit (error ``inf``).
         unmeasured: faces whose error is unknown (NaN), left out of everything below.
         mean: mean of the finite errors.
-        ci95: half the width of the 95 % confidence interval of that mean.
+        ci95: half the width of the 95 % confidence interval of that mean, wide where there are few subjects.
         median: median of the finite and infinite errors.
         auc: area under the CED up to ``limit``, failures included.
         failure: share of errors above ``limit``, failures included.
@@ -60,13 +63,14 @@ class Summary:
         }
 
 
-def summarise(errors: np.ndarray, limit: float = LIMIT) -> Summary:
+def summarise(errors: np.ndarray, limit: float = LIMIT, subjects: Subjects = None) -> Summary:
     """Summary of errors (N,): ``inf`` for a failed fit, NaN for a face that cannot be measured.
 
-    What too few faces leave undefined is NaN: everything without faces, ``ci95`` with a single one.
+    Pictures of one person are not independent: with ``subjects``, ``ci95`` is that of a mean over clusters. What too
+    few faces leave undefined is NaN: everything without faces, ``ci95`` with a single subject.
 
     Raises:
-        InputError: the errors are not a vector or the limit is not positive.
+        InputError: the errors are not a vector, the limit is not positive, or there is not one subject a face.
     """
     values = measurable(errors)
     finite = values[np.isfinite(values)]
@@ -76,7 +80,7 @@ def summarise(errors: np.ndarray, limit: float = LIMIT) -> Summary:
         failed=values.size - finite.size,
         unmeasured=len(errors) - values.size,
         mean=float(finite.mean()) if finite.size else math.nan,
-        ci95=_mean_ci95(finite),
+        ci95=_ratio_ci95(finite, np.ones(finite.size), _owners(subjects, np.isfinite(errors))),
         median=float(np.median(values)) if values.size else math.nan,
         auc=auc(values, limit),
         failure=failure_rate(values, limit),
@@ -113,26 +117,56 @@ def rank_sum(a: np.ndarray, b: np.ndarray) -> float:
     return float(stats.mannwhitneyu(ranks[: a.size], ranks[a.size :]).pvalue)
 
 
-def signed_rank(a: np.ndarray, b: np.ndarray) -> float:
+def signed_rank(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> float:
     """Two-sided p-value of the Wilcoxon signed-rank test: do errors (N,) of the same faces differ?
 
     Pairs of equal errors, two failures included, are dropped as in Wilcoxon's test; a failure of one method
     is the largest difference. Pairs with a NaN are left out. 1 when all pairs are equal, NaN when there are
-    none.
+    none. Pictures of one person are not independent: with ``subjects``, the pairs are people's mean errors.
 
     Raises:
-        InputError: the samples are not vectors of one length.
+        InputError: the samples are not vectors of one length, or there is not one subject a face.
     """
-    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    if a.ndim != 1 or a.shape != b.shape:
-        raise InputError(f"paired errors must both be (faces,), of the same faces; got {a.shape} and {b.shape}")
-    paired = ~(np.isnan(a) | np.isnan(b))
-    differs = paired & (a != b)
+    a, b = _paired(a, b)
+    unmeasured = np.isnan(a) | np.isnan(b)
+    if unmeasured.all():
+        return math.nan
+    if subjects is not None:
+        silent = unmeasured | (np.isinf(a) & np.isinf(b))
+        a, b = (subject_means(np.where(silent, np.nan, errors), subjects) for errors in (a, b))
+    differs = ~(np.isnan(a) | np.isnan(b)) & (a != b)
     if not differs.any():
-        return 1.0 if paired.any() else math.nan
+        return 1.0
     difference = a[differs] - b[differs]
     # The test sees signed ranks only; ranking here keeps infinities out of its arithmetic.
     return float(stats.wilcoxon(np.sign(difference) * stats.rankdata(np.abs(difference))).pvalue)
+
+
+def subject_means(errors: np.ndarray, subjects: Subjects) -> np.ndarray:
+    """(S,) the mean error of each subject that has errors, of errors (N,): NaN is left out, ``inf`` makes it ``inf``.
+
+    Raises:
+        InputError: the errors are not a vector, or there is not one subject a face.
+    """
+    values = measurable(errors)
+    owners = _owners(subjects, ~np.isnan(errors))
+    return np.bincount(owners, values) / np.bincount(owners)
+
+
+def relative_difference(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects = None) -> tuple[float, float]:
+    """By what share the mean of errors (N,) differs from a baseline's (N,), and half its 95 % confidence interval.
+
+    Over the faces that both fitted. What too few subjects, or a mean of zero, leave undefined is NaN.
+
+    Raises:
+        InputError: the errors are not vectors of one length, or there is not one subject a face.
+    """
+    errors, baseline = _paired(errors, baseline)
+    both = np.isfinite(errors) & np.isfinite(baseline)
+    errors, baseline, owners = errors[both], baseline[both], _owners(subjects, both)
+    if not baseline.any():
+        return math.nan, math.nan
+    return float(errors.sum() / baseline.sum()) - 1, _ratio_ci95(errors, baseline, owners)
 
 
 def holm(p_values: np.ndarray) -> np.ndarray:
@@ -163,7 +197,7 @@ def holm(p_values: np.ndarray) -> np.ndarray:
 
 def bootstrap_ci(
     values: np.ndarray,
-    subjects: Sequence[str] | np.ndarray | None = None,
+    subjects: Subjects = None,
     *,
     confidence: float = 0.95,
     samples: int = SAMPLES,
@@ -194,21 +228,17 @@ def bootstrap_ci(
             f"expected one finite number a face, (faces,), or NaN to leave it out; got {values.shape} with "
             f"{int(np.isinf(values).sum())} infinite: of errors, take auc_ci and failure_ci"
         )
-    if subjects is not None and len(subjects) != len(values):
-        raise InputError(f"expected the subject of each of {len(values)} faces; got {len(subjects)}")
+    known = ~np.isnan(values)
+    values, owners = values[known], _owners(subjects, known)
     if not (0 < confidence < 1 and samples >= 1 and seed >= 0):
         raise InputError(
             "expected 0 < confidence < 1, at least one sample and a seed of 0 or more; got "
             f"{confidence}, {samples} and {seed}"
         )
-    known = ~np.isnan(values)
-    values = values[known]
-    owners = np.arange(values.size) if subjects is None else np.asarray(subjects)[known]
-    owner_of = np.unique(owners, return_inverse=True)[1]
-    faces = np.bincount(owner_of)
+    faces = np.bincount(owners)
     if len(faces) < 2:
         return math.nan, math.nan
-    totals = np.bincount(owner_of, values)
+    totals = np.bincount(owners, values)
     rng = np.random.default_rng(seed)
     means = np.empty(samples)
     at_once = max(1, _DRAWS // len(faces))
@@ -222,7 +252,7 @@ def bootstrap_ci(
 def auc_ci(
     errors: np.ndarray,
     limit: float = LIMIT,
-    subjects: Sequence[str] | np.ndarray | None = None,
+    subjects: Subjects = None,
     *,
     confidence: float = 0.95,
     samples: int = SAMPLES,
@@ -239,7 +269,7 @@ def auc_ci(
 def failure_ci(
     errors: np.ndarray,
     limit: float = LIMIT,
-    subjects: Sequence[str] | np.ndarray | None = None,
+    subjects: Subjects = None,
     *,
     confidence: float = 0.95,
     samples: int = SAMPLES,
@@ -260,8 +290,41 @@ def finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _mean_ci95(values: np.ndarray) -> float:
-    """Half-width of the Student t interval of the mean of (N,) finite values; NaN below two."""
-    if values.size < 2:
+def _paired(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both as float64.
+
+    Raises:
+        InputError: they are not vectors of one length.
+    """
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    if a.ndim != 1 or a.shape != b.shape:
+        raise InputError(f"paired errors must both be (faces,), of the same faces; got {a.shape} and {b.shape}")
+    return a, b
+
+
+def _owners(subjects: Subjects, chosen: np.ndarray) -> np.ndarray:
+    """(M,) numbers from 0 of the subjects of the M faces of N that are chosen (N,).
+
+    Raises:
+        InputError: there is not one subject a face.
+    """
+    if subjects is None:
+        return np.arange(np.count_nonzero(chosen))
+    if len(subjects) != len(chosen):
+        raise InputError(f"expected the subject of each of {len(chosen)} faces; got {len(subjects)}")
+    return np.unique(np.asarray(subjects)[chosen], return_inverse=True)[1]
+
+
+def _ratio_ci95(values: np.ndarray, weights: np.ndarray, owners: np.ndarray) -> float:
+    """Half-width of the 95 % interval of Σ values / Σ weights of (M,) faces; NaN below two subjects.
+
+    Subjects are independent, not faces: it is Student's interval of the linearised ratio of their totals, and with a
+    face each, and weights of one, that of the mean.
+    """
+    totals, shares = np.bincount(owners, values), np.bincount(owners, weights)
+    count = len(totals)
+    if count < 2:
         return math.nan
-    return float(stats.t.ppf(0.975, values.size - 1) * values.std(ddof=1) / math.sqrt(values.size))
+    rest = totals - shares * (values.sum() / weights.sum())
+    deviation = math.sqrt(count / (count - 1) * np.square(rest).sum()) / weights.sum()
+    return float(stats.t.ppf(0.975, count - 1) * deviation)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from jaxfit.evaluation.curves import LIMIT
-from jaxfit.evaluation.statistics import both_measured, rank_sum, signed_rank, summarise
+from jaxfit.evaluation.statistics import Subjects, both_measured, rank_sum, signed_rank, summarise
 
 Row = Mapping[str, object]
 
@@ -26,23 +26,24 @@ SUMMARY_COLUMNS = {
 COMPARISON_COLUMNS = {"faces": "d", "difference of medians": "+.1%", "rank-sum p": ".2g", "signed-rank p": ".2g"}
 
 
-def summary_row(errors: np.ndarray) -> dict[str, object]:
+def summary_row(errors: np.ndarray, subjects: Subjects = None) -> dict[str, object]:
     """The row of ``SUMMARY_COLUMNS`` for errors (N,): the mean is over fitted faces, the last three count failures."""
-    summary = summarise(errors)
+    summary = summarise(errors, subjects=subjects)
     counts = (summary.faces, summary.failed, summary.unmeasured)
     values = (summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
     return dict(zip(SUMMARY_COLUMNS, counts + values, strict=True))
 
 
-def comparison_row(errors: np.ndarray, baseline: np.ndarray) -> dict[str, object]:
+def comparison_row(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects = None) -> dict[str, object]:
     """The row of ``COMPARISON_COLUMNS`` for errors (N,) of a method and a baseline's (N,) on the same faces.
 
-    Faces that either could not measure (NaN) are left out; a failure (``inf``) is the worst of errors.
+    Faces that either could not measure (NaN) are left out; a failure (``inf``) is the worst of errors. The rank-sum
+    test takes faces for independent; with ``subjects``, the signed-rank test pairs people.
 
     Raises:
-        InputError: the errors are not vectors of one length.
+        InputError: the errors are not vectors of one length, or there is not one subject a face.
     """
-    paired_p = signed_rank(errors, baseline)
+    paired_p = signed_rank(errors, baseline, subjects)
     errors, baseline = both_measured(errors, baseline)
     with np.errstate(divide="ignore", invalid="ignore"):  # medians of no face, of failures, or zero
         difference = float(np.divide(summarise(errors).median, summarise(baseline).median)) - 1

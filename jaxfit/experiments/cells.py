@@ -8,29 +8,26 @@ second steps see different windows.
 
 import os
 import time
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxfit.calibrating import evaluate_in_own_boxes
+from jaxfit.calibrating import evaluate_pose
 from jaxfit.cascade.model import first_steps
 from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import Evaluation, evaluate, evaluate_steps, start_boxes
+from jaxfit.evaluating import Evaluation, evaluate, evaluate_steps
+from jaxfit.exceptions import ImageError, InputError
 from jaxfit.experiments.config import Config, MethodPlan
-from jaxfit.experiments.lab import Lab, Progress, cascades, read_all, same_scheme
+from jaxfit.experiments.lab import Lab, Progress, cascades
 from jaxfit.fitting import fit
-from jaxfit.models.files import load
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme
+from jaxfit.shapes.schemes import Scheme
 from jaxfit.training import Trained, train
 
 Arrays = dict[str, np.ndarray]
 Methods = tuple[MethodPlan, ...]
-# Tells how faces lie in the boxes of datasets without landmarks, to models of iBUG's landmarks.
-_CALIBRATOR = "sdm68"
-# Before data are read nobody knows how many faces a test of pose has; this is for the estimate of time only.
-_POSE_FACES, _POSE_LANDMARKS = 1000, 68
 
 
 @runtime_checkable
@@ -197,24 +194,31 @@ class Times:
     def run(self, lab: Lab, progress: Progress) -> Arrays:
         """Seconds a face (repetitions,) of each method: cropping and fitting, from pictures in memory, compiled."""
         config, faces = lab.config, lab.faces[self.dataset]
-        rows = faces.tested(0)[: config.timed_faces]
-        pictures = [lab.pictures(face.image) for face in faces.chosen(rows)]
+        rows, pictures = [], []
+        for row in faces.tested(0):
+            with suppress(ImageError):  # the grid tells
+                pictures.append(lab.pictures(faces.records[row].image))
+                rows.append(row)
+            if len(rows) == config.timed_faces:
+                break
+        if not rows:
+            raise InputError(f"{self.dataset}: no picture of the first fold can be read, to time methods on")
+        boxes = faces.boxes[np.array(rows)]
         models = {}
         for group, name in zip(self.groups, self.needs, strict=True):
             for method in group:
                 model = _chosen(lab, name)
                 models[method.name] = model if method.in_3d else replace(model, head=None)
-                fit(models[method.name], pictures, faces.boxes[rows])
+                fit(models[method.name], pictures, boxes)
         seconds: dict[str, list[float]] = {name: [] for name in models}
-        load_before = os.getloadavg()[0] if hasattr(os, "getloadavg") else np.nan
         for repetition in range(config.repetitions):
             progress("timing", repetition, config.repetitions)
             for name, model in models.items():
                 begin = time.perf_counter()
-                fit(model, pictures, faces.boxes[rows])
+                fit(model, pictures, boxes)
                 seconds[name].append((time.perf_counter() - begin) / len(rows))
         told = {f"{name}.seconds": np.array(values) for name, values in seconds.items()}
-        return told | {"load": np.array(load_before), "cores": np.array(os.cpu_count()), "faces": np.array(len(rows))}
+        return told | {"cores": np.array(os.cpu_count()), "faces": np.array(len(rows))}
 
 
 @dataclass(frozen=True)
@@ -232,15 +236,12 @@ class PoseModel:
 
     def work(self, lab: Lab) -> int:
         """Windows described."""
-        return 2 * _POSE_FACES * self.augmentations * lab.config.steps * _POSE_LANDMARKS
+        learned = len(lab.pose.learned) * self.augmentations * (1 + self.methods[0].options.mirror)
+        return learned * lab.config.steps * lab.pose.scheme.count
 
     def run(self, lab: Lab, progress: Progress) -> Arrays:
         """The model is kept; the result is how many faces it learned from."""
-        pose = lab.config.pose
-        assert pose is not None, "cells of pose are planned with a test of pose"
-        datasets = read_all(pose.train, pose.scheme)
-        complete = [face for dataset in datasets for face in dataset.faces if face.complete]
-        trained = _train(lab, same_scheme(datasets), complete, self.methods, self.augmentations, progress)
+        trained = _train(lab, lab.pose.scheme, list(lab.pose.learned), self.methods, self.augmentations, progress)
         lab.save_model(self.name, trained.model)
         return {"faces": np.array(trained.faces), "problems": np.array(trained.problems, str)}
 
@@ -265,21 +266,18 @@ class Pose:
 
     def work(self, lab: Lab) -> int:
         """Windows described."""
-        return _POSE_FACES * lab.config.chosen_steps * _POSE_LANDMARKS * len(self.groups)
+        tested = len(lab.pose.tested[self.spec].faces)
+        return tested * lab.config.chosen_steps * lab.pose.scheme.count * len(self.groups)
 
     def run(self, lab: Lab, progress: Progress) -> Arrays:
         """Poses (faces, 3) of each method and the true ones, in the order of the labels."""
-        (dataset,) = read_all([self.spec], None)
+        dataset = lab.pose.tested[self.spec]
         models = {
             method.name: _chosen(lab, name)
             for group, name in zip(self.groups, self.needs, strict=True)
             for method in group
         }
-        if dataset.scheme == NO_LANDMARKS:
-            results = evaluate_in_own_boxes(models, dataset.faces, load(_CALIBRATOR), progress)
-        else:
-            boxes = start_boxes(dataset.faces, lab.config.seed)
-            results = {name: evaluate(model, dataset.faces, boxes, progress=progress) for name, model in models.items()}
+        results = evaluate_pose(models, dataset, lab.config.seed, progress)
         first = next(iter(results.values()))
         problems = [*dataset.problems, *(why for result in results.values() for why in result.problems.values())]
         return {

@@ -1,21 +1,22 @@
 """What is to be run: a configuration, read from a TOML file and checked before any work."""
 
 import json
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+from jaxfit.data.datasets import FORMATS
+from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.evaluation.errors import NORMALISERS
 from jaxfit.exceptions import InputError
+from jaxfit.experiments.document import check_names
 from jaxfit.experiments.thesis import THESIS
 from jaxfit.shapes.schemes import scheme_named
 from jaxfit.training import METHODS, Options, default_descriptor
 
-_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
 # Options of training that an experiment sets itself, or does not need: boxes of detectors are not measured.
 _NOT_OPTIONS = {"augmentations", "initialisations", "rotations", "haar", "seed"}
@@ -82,8 +83,8 @@ class Config:
         methods: what is compared.
         augmentations: starts drawn for each face in training, the columns of the grid (Appendices A, B).
         initialisations: starts of a fit (Appendix C).
-        chosen_augmentations: one of ``augmentations``: the models that are compared, timed and looked at.
-        chosen_steps: how many steps of them.
+        chosen_steps: how many steps the models have that are compared, timed and looked at.
+        chosen_augmentations: one of ``augmentations``: theirs.
         folds: of the cross-validation, split by subject.
         repetitions: how often the set of faces that is timed is fitted.
         timed_faces: how many faces are timed.
@@ -94,16 +95,16 @@ class Config:
 
     datasets: tuple[DatasetPlan, ...]
     methods: tuple[MethodPlan, ...]
+    chosen_steps: int
     augmentations: tuple[int, ...] = (1, 5, 10, 15, 20, 25)
     initialisations: tuple[int, ...] = (1, 3, 5, 7, 9, 11)
     chosen_augmentations: int = 15
-    chosen_steps: int = 6
     folds: int = 10
     repetitions: int = 32
     timed_faces: int = 64
     normaliser: str = "outer"
     seed: int = 0
-    pose: PosePlan | None = field(default=None)
+    pose: PosePlan | None = None
 
     def __post_init__(self) -> None:
         if not self.methods or not (self.datasets or self.pose):
@@ -119,6 +120,13 @@ class Config:
             raise InputError("expected augmentations, repetitions and timed_faces >= 1, folds >= 2 and a seed >= 0")
         if any(count < 1 or count == 2 for count in self.initialisations):
             raise InputError(f"initialisations: expected one, or three or more, each; got {list(self.initialisations)}")
+        for key in ("augmentations", "initialisations"):
+            if len(set(counts := getattr(self, key))) < len(counts):
+                raise InputError(f"{key}: expected each but once; got {list(counts)}")
+        check_names([plan.name for plan in self.datasets], "[datasets]")
+        check_names([plan.name for plan in self.methods], "[methods]")
+        pairs = [f"{dataset.name}-{plan.name}" for dataset in self.datasets for plan in self.methods]
+        check_names(pairs, "datasets and methods, joined by '-'")
         if self.normaliser not in NORMALISERS:
             raise InputError(f"normaliser: expected one of {', '.join(NORMALISERS)}; got {self.normaliser!r}")
         if self.pose and not any(plan.in_3d for plan in self.methods):
@@ -141,7 +149,10 @@ class Config:
             plan.name: {"method": plan.method, **_without(vars(plan.options), _NOT_OPTIONS)} for plan in self.methods
         }
         for values in methods.values():
-            values |= {key: vars(values[key]) for key in ("descriptor", "frame") if key in values}
+            values["frame"] = vars(values["frame"])
+            if descriptor := values.get("descriptor"):
+                kind = next(kind for kind, made in DESCRIPTORS.items() if type(descriptor) is made)
+                values["descriptor"] = {"kind": kind, **vars(descriptor)}
         chosen = {"augmentations": self.chosen_augmentations, "steps": self.chosen_steps}
         values = {key: getattr(self, key) for key in _PLAIN} | {"chosen": chosen, "datasets": plans, "methods": methods}
         return json.loads(json.dumps({**values, **pose}))
@@ -178,12 +189,14 @@ def config_from(values: Mapping[str, Any]) -> Config:
     _require_known("[chosen]", chosen, {"augmentations", "steps"})
     top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
     usual = Options(haar=False, seed=max(0, top.get("seed", Config.seed)))
-    training, methods = _table(values, "training"), _table(values, "methods")
+    training, methods, datasets = (_table(values, key) for key in ("training", "methods", "datasets"))
+    plans = tuple(_method(name, {**training, **_table(methods, name, "methods.")}, usual) for name in methods)
+    steps = len(plans[0].options.windows) if plans else 0
     return Config(
-        datasets=tuple(_dataset(name, _table(values["datasets"], name)) for name in _table(values, "datasets")),
-        methods=tuple(_method(name, {**training, **_table(methods, name)}, usual) for name in methods),
+        datasets=tuple(_dataset(name, _table(datasets, name, "datasets.")) for name in datasets),
+        methods=plans,
         **top,
-        **{f"chosen_{key}": _like(0, f"[chosen] {key}", value) for key, value in chosen.items()},
+        **{f"chosen_{key}": _like(0, f"[chosen] {key}", value) for key, value in {"steps": steps, **chosen}.items()},
         pose=_pose(_table(values, "pose")) if "pose" in values else None,
     )
 
@@ -194,7 +207,6 @@ def _dataset(name: str, values: Mapping[str, Any]) -> DatasetPlan:
     plan = DatasetPlan(name, _specs(where, values, "data"), _scheme(where, values), values.get("thesis"))
     if plan.thesis not in (None, *THESIS["errors"]):
         raise InputError(f"{where} thesis: expected one of {', '.join(THESIS['errors'])}; got {plan.thesis!r}")
-    _require_name(where, name)
     return plan
 
 
@@ -204,7 +216,6 @@ def _method(name: str, values: Mapping[str, Any], usual: Options) -> MethodPlan:
     method = values.pop("method", name)
     if method not in METHODS:
         raise InputError(f"{where}: expected method = one of {', '.join(METHODS)}; got {method!r}")
-    _require_name(where, name)
     return MethodPlan(name, method, _options(where, usual, default_descriptor(method, 1), values))
 
 
@@ -223,14 +234,24 @@ def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping
     changed: dict[str, Any] = {}
     for key, value in values.items():
         if key in ("descriptor", "frame"):
-            part: Any = descriptor if key == "descriptor" else usual.frame
-            table = _table(values, key)
+            table = dict(_table(values, key, f"{where} "))
+            part = _descriptor(where, descriptor, table) if key == "descriptor" else usual.frame
             _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
             parts = {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()}
             changed[key] = _checked(where, part, parts)
         else:
             changed[key] = _like(getattr(usual, key), f"{where} {key}", value)
     return _checked(where, usual, changed)
+
+
+def _descriptor(where: str, usual: Descriptor, table: dict[str, Any]) -> Any:
+    """The usual descriptor, or, if the table says so, one of another ``kind``, which is taken out of it."""
+    kind = table.pop("kind", None)
+    if kind is None:
+        return usual
+    if kind not in DESCRIPTORS:
+        raise InputError(f"{where} descriptor.kind: expected one of {', '.join(DESCRIPTORS)}; got {kind!r}")
+    return usual if type(usual) is DESCRIPTORS[kind] else DESCRIPTORS[kind]()
 
 
 def _checked(where: str, thing: Any, changed: Mapping[str, Any]) -> Any:
@@ -254,15 +275,16 @@ def _like(default: Any, where: str, value: Any) -> Any:
     kind = float if default is None else type(default)
     if type(value) is not kind:
         example = list(default) if isinstance(default, tuple) else default
-        raise InputError(f"{where}: expected something like {example}; got {value!r}")
+        expected = "a number" if default is None else f"something like {example}"
+        raise InputError(f"{where}: expected {expected}; got {value!r}")
     return value
 
 
-def _table(values: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """The table of a name; empty if there is none."""
+def _table(values: Mapping[str, Any], key: str, within: str = "") -> dict[str, Any]:
+    """The table of a name, ``within`` being what stands before it; empty if there is none."""
     table = values.get(key, {})
     if not isinstance(table, dict):
-        raise InputError(f"{key}: expected a table, [{key}]; got {table!r}")
+        raise InputError(f"expected a table, [{within}{key}]; got {key} = {table!r}")
     return table
 
 
@@ -270,6 +292,8 @@ def _specs(where: str, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
     specs = values.get(key)
     if not (isinstance(specs, list) and specs and all(isinstance(spec, str) for spec in specs)):
         raise InputError(f'{where} {key}: expected a list of "FORMAT:PATH"; got {specs!r}')
+    if any(spec.partition(":")[0] not in FORMATS for spec in specs):
+        raise InputError(f"{where} {key}: expected FORMAT one of {', '.join(FORMATS)}; got {', '.join(specs)}")
     return tuple(specs)
 
 
@@ -280,19 +304,6 @@ def _scheme(where: str, values: Mapping[str, Any]) -> str | None:
         return scheme_named(str(values["scheme"])).name
     except InputError as error:
         raise InputError(f"{where} scheme: {error}") from None
-
-
-def _require_name(where: str, name: str) -> None:
-    """Check that a name can go into file names, of reports too.
-
-    Raises:
-        InputError: it cannot.
-    """
-    if not _NAME.fullmatch(name):
-        raise InputError(
-            f"{where}: expected a name of letters and digits with single '.', '_' or '-' between them, as it goes into "
-            f"file names; got {name!r}"
-        )
 
 
 def _without(values: Mapping[str, Any], left_out: set[str]) -> dict[str, Any]:

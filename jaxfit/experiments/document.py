@@ -1,15 +1,19 @@
 """What a report is made of: sections of text, tables, figures and a gallery of faces, whatever they are rendered to."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxfit.evaluation.tables import Row
+from jaxfit.exceptions import InputError
 
 if TYPE_CHECKING:
     import matplotlib.figure
+
+_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")  # a file's on every system
 
 
 @dataclass(frozen=True)
@@ -120,3 +124,21 @@ class Document:
     title: str
     about: Mapping[str, str] = field(default_factory=dict)
     sections: tuple[Section, ...] = ()
+
+
+def check_names(names: Sequence[str], where: str) -> None:
+    """Check that names can name files, next to one another.
+
+    Raises:
+        InputError: they cannot.
+    """
+    seen = set()
+    for name in names:
+        if not _NAME.fullmatch(name):
+            raise InputError(
+                f"{where}: expected a name of letters and digits with single '.', '_' or '-' between them, as it goes "
+                f"into file names; got {name!r}"
+            )
+        if name.casefold() in seen:  # some file systems do not tell case
+            raise InputError(f"{where}: two are called {name}; give each a name of its own")
+        seen.add(name.casefold())

@@ -5,16 +5,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from jaxfit.data.boxes import bounding_square
+from jaxfit.data.boxes import bounding_square, box_centre
+from jaxfit.data.crops import cut_face, to_crop
 from jaxfit.data.images import read_image
 from jaxfit.exceptions import ImageError
-from jaxfit.experiments.config import Config
-from jaxfit.experiments.document import Gallery, GalleryFace
+from jaxfit.experiments.config import Config, MethodPlan
+from jaxfit.experiments.document import Figure, Gallery, GalleryFace
+from jaxfit.experiments.figures import plot_fits
 from jaxfit.experiments.results import DatasetResults
+from jaxfit.experiments.thesis import numbered
+from jaxfit.image.frame import Frame
 
 _SIDE = 144  # pixels of a thumbnail
-_MARGIN = 0.35  # around the labels, in sides of their square
+_FRAME = Frame(_SIDE, _SIDE / 1.7)  # a margin of 0.35 around the labels, in sides of their square
 _QUALITY = 75
+_IN_2D = "Of 3D alignment the 2D fit is drawn that the head is aligned to; its errors, in 3D, are those of the head."
 
 
 class Thumbnails:
@@ -37,29 +42,56 @@ class Thumbnails:
             rgb = read_image(Path(str(self._dataset.faces["image"][number])), exif=False)
         except ImageError:
             return None
-        x, y, side = self._square(number)
-        scale = _SIDE / side
-        matrix = np.array([[scale, 0, -scale * x], [0, scale, -scale * y]])
-        return cv2.warpAffine(rgb, matrix, (_SIDE, _SIDE), flags=cv2.INTER_AREA)
+        # Colours come along as a third axis.
+        return cut_face(rgb, *self._square(number), _FRAME).pixels
 
     def points(self, number: int, points: np.ndarray) -> np.ndarray:
         """Points (L, 2) of the picture in pixels of the thumbnail."""
-        x, y, side = self._square(number)
-        return (points - [x, y]) * (_SIDE / side)
+        centre, side = self._square(number)
+        scale = side / _FRAME.face
+        return to_crop(points, scale, centre - scale * _FRAME.middle)
 
-    def _square(self, number: int) -> tuple[float, float, float]:
-        x, y, side, _ = bounding_square(self._dataset.faces["landmarks"][number])
-        return x - _MARGIN * side, y - _MARGIN * side, (1 + 2 * _MARGIN) * side
+    def _square(self, number: int) -> tuple[np.ndarray, float]:
+        square = bounding_square(self._dataset.faces["landmarks"][number])
+        return box_centre(square), float(square[2])
+
+
+def fits_figure(dataset: DatasetResults, config: Config, plans: list[MethodPlan], most: int, pictures: bool) -> Figure:
+    """Up to ``most`` faces, from the best fit of the first method to its worst (Figures 22 and 23)."""
+    in_3d = plans[0].in_3d
+    errors = dataset.errors(plans[0].name, config)
+    numbers = spread_by_rank(errors, most)
+    thumbnails = Thumbnails(dataset, pictures)
+    titles = [f"{errors[number]:.3f}" for number in numbers]
+    titles[0], titles[-1] = f"best: {titles[0]}", f"worst: {titles[-1]}"
+    truths = [thumbnails.points(number, dataset.faces["landmarks"][number]) for number in numbers]
+    aligned = [plan.name for plan in plans if plan.method == "alignment3d"]
+    fits = {
+        f"{plan.name} (2D)" if plan.name in aligned else plan.name: [
+            thumbnails.points(number, dataset.fits[plan.name][number]) for number in numbers
+        ]
+        for plan in plans
+    }
+    pictures_of = [thumbnails.picture(number) for number in numbers]
+    figure = plot_fits(pictures_of, truths, fits, titles, dataset.scheme, _SIDE)
+    title = f"{dataset.name}: from the best to the worst fit of {plans[0].name}"
+    return Figure(
+        f"fits-{dataset.name}-{'3d' if in_3d else '2d'}",
+        numbered("fits", dataset.thesis, in_3d, title),
+        figure,
+        _IN_2D if aligned else "",
+    )
 
 
 def gallery(datasets: tuple[DatasetResults, ...], config: Config, most: int, pictures: bool) -> Gallery:
     """Up to ``most`` faces of each dataset, spread evenly from the best fitted to the worst."""
-    faces = []
+    faces, unread = [], 0
     for dataset in datasets:
         errors = {plan.name: dataset.errors(plan.name, config) for plan in config.methods}
         thumbnails = Thumbnails(dataset, pictures)
         for number in spread_by_rank(next(iter(errors.values())), most):
             picture = thumbnails.picture(number)
+            unread += pictures and picture is None
             faces.append(
                 GalleryFace(
                     dataset=dataset.name,
@@ -77,6 +109,10 @@ def gallery(datasets: tuple[DatasetResults, ...], config: Config, most: int, pic
         "Labels in red, fits in cyan. Errors of 3D methods are in 3D. Yaw and pitch are the labels', or those of a 3D "
         "shape that is aligned to them."
     )
+    if any(plan.method == "alignment3d" for plan in config.methods):
+        note += f" {_IN_2D}"
+    if unread:
+        note += f" {unread} pictures are no longer where they were, or cannot be read: run the experiment again."
     return Gallery("Faces", tuple(faces), {dataset.name: dataset.scheme.lines for dataset in datasets}, note)
 
 

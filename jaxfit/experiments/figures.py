@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxfit.evaluation.plots import draw_face, new_figure, pyplot
-from jaxfit.evaluation.statistics import summarise
+from jaxfit.evaluation.statistics import Subjects, summarise
 from jaxfit.shapes.schemes import Scheme
 
 if TYPE_CHECKING:
@@ -19,9 +19,12 @@ if TYPE_CHECKING:
 TRUTH, FIT = "red", "cyan"  # as in the thesis
 
 
-def mean_and_ci(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (...) of errors (..., N) over fitted faces, and half the widths of their 95 % confidence intervals."""
-    summaries = [summarise(each) for each in errors.reshape(-1, errors.shape[-1])]
+def mean_and_ci(errors: np.ndarray, subjects: Subjects = None) -> tuple[np.ndarray, np.ndarray]:
+    """Means (...) of errors (..., N) over fitted faces, and half the widths of their 95 % confidence intervals.
+
+    ``subjects`` say who is seen on each of the N faces, as in ``summarise``.
+    """
+    summaries = [summarise(each, subjects=subjects) for each in errors.reshape(-1, errors.shape[-1])]
     shape = errors.shape[:-1]
     return (
         np.array([summary.mean for summary in summaries]).reshape(shape),
@@ -30,7 +33,7 @@ def mean_and_ci(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plot_grid(
-    grids: Mapping[str, np.ndarray], augmentations: Sequence[int], error: str = "NMED"
+    grids: Mapping[str, np.ndarray], augmentations: Sequence[int], error: str = "NMED", subjects: Subjects = None
 ) -> "matplotlib.figure.Figure":
     """Mean errors and their 95 % confidence intervals over steps, a panel a method (Figures 12, 13, 15 and 16).
 
@@ -38,12 +41,13 @@ def plot_grid(
         grids: by method, (steps, augmentations, N) errors.
         augmentations: of the second axis; a line each.
         error: what is measured.
+        subjects: who is seen on each of the N faces.
     """
     figure = new_figure(5.2 * len(grids), 4.0)
     axes = figure.subplots(1, len(grids), sharey=True, squeeze=False)
     colours = pyplot().colormaps["viridis"](np.linspace(0.05, 0.85, len(augmentations)))
     for ax, (name, errors) in zip(axes[0], grids.items(), strict=True):
-        means, widths = mean_and_ci(errors)
+        means, widths = mean_and_ci(errors, subjects)
         steps = np.arange(1, len(errors) + 1)
         for column, count in enumerate(augmentations):
             mean, width = means[:, column], widths[:, column]
@@ -62,6 +66,7 @@ def plot_starts(
     thesis: Mapping[str, Sequence[float]],
     thesis_counts: Sequence[int],
     error: str = "NMED",
+    subjects: Subjects = None,
 ) -> "matplotlib.figure.Figure":
     """Mean errors and their 95 % confidence intervals over the number of initialisations (Figures 14 and 17).
 
@@ -71,11 +76,12 @@ def plot_starts(
         thesis: by method, the thesis's means, drawn dashed; of methods that it has.
         thesis_counts: what they belong to.
         error: what is measured.
+        subjects: who is seen on each of the N faces.
     """
     figure = new_figure(6.5, 4.0)
     ax = figure.subplots()
     for number, (name, errors) in enumerate(starts.items()):
-        mean, width = mean_and_ci(errors)
+        mean, width = mean_and_ci(errors, subjects)
         ax.errorbar(counts, mean, width, fmt="o-", capsize=3, color=f"C{number}", label=name)
         if name in thesis:
             ax.plot(thesis_counts, thesis[name], "--", color=f"C{number}", alpha=0.5, label=f"{name}, thesis")
@@ -91,15 +97,17 @@ def plot_fits(
     fits: Mapping[str, Sequence[np.ndarray]],
     titles: Sequence[str],
     scheme: Scheme,
+    side: int,
 ) -> "matplotlib.figure.Figure":
     """Fitted faces, a row a method: labels in red and fits in cyan (Figures 22 and 23).
 
     Args:
-        pictures: F square pictures, uint8 (S, S) or (S, S, 3); None for an empty ground.
+        pictures: F square pictures, uint8 (side, side) or (side, side, 3); None for an empty ground.
         truths: their labels (L, 2), in pixels of the pictures.
         fits: by method, what was found.
         titles: of the columns.
         scheme: which points lines join.
+        side: of the pictures, in pixels.
     """
     shape = (len(fits), len(pictures))
     figure = new_figure(1.7 * shape[1] + 0.4, 1.8 * shape[0] + 0.3)
@@ -107,7 +115,6 @@ def plot_fits(
     for row, (name, found) in zip(axes, fits.items(), strict=True):
         row[0].set_ylabel(name)
         for ax, picture, truth, fit in zip(row, pictures, truths, found, strict=True):
-            side = 100 if picture is None else len(picture)
             if picture is not None:
                 ax.imshow(picture, cmap="gray", vmin=0, vmax=255)
             draw_face(ax, truth, scheme, TRUTH)

@@ -1,7 +1,8 @@
 """What the cells of an experiment share: faces, folds, pictures in memory, models, and where things are kept."""
 
+import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from jaxfit.aligning import align_labels
+from jaxfit.calibrating import CALIBRATED
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.images import GreyPictures
 from jaxfit.data.outputs import atomic_write
@@ -21,7 +23,7 @@ from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan
 from jaxfit.models.files import load, save
 from jaxfit.models.heads import load_head
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import Scheme, scheme_named
+from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme, scheme_named
 from jaxfit.training import METHODS, Options, default_descriptor
 
 Progress = Callable[[str, int, int], None]
@@ -52,6 +54,14 @@ class Faces:
         """(N, L, 2) labels, in pixels."""
         return np.stack([face.landmarks for face in self.records])
 
+    @property
+    def digest(self) -> str:
+        """Tells these faces, their labels and folds from others, wherever they lie."""
+        told = hashlib.sha256("\n".join((*self.subjects, *(face.face for face in self.records))).encode())
+        for array in (np.round(self.landmarks, 3), self.folds):  # rounded as machines differ
+            told.update(np.ascontiguousarray(array).tobytes())
+        return told.hexdigest()[:16]
+
     def tested(self, fold: int) -> np.ndarray:
         """Numbers of the faces in a fold."""
         return np.flatnonzero(self.folds == fold)
@@ -63,6 +73,21 @@ class Faces:
     def chosen(self, numbers: np.ndarray) -> list[FaceRecord]:
         """Faces by their numbers."""
         return [self.records[number] for number in numbers]
+
+
+@dataclass(frozen=True)
+class PoseData:
+    """The faces of a test of pose.
+
+    Attributes:
+        scheme: what the landmarks of ``learned`` mean.
+        learned: all with all landmarks.
+        tested: datasets by ``FORMAT:PATH``; those without landmarks have boxes.
+    """
+
+    scheme: Scheme
+    learned: tuple[FaceRecord, ...]
+    tested: Mapping[str, Dataset]
 
 
 class Lab:
@@ -77,6 +102,7 @@ class Lab:
         self.config = config
         self.folder = folder
         self.pictures = GreyPictures()
+        self._costs: dict[str, tuple[float, float]] = {}
 
     @cached_property
     def faces(self) -> dict[str, Faces]:
@@ -104,6 +130,34 @@ class Lab:
             tuple(problem for dataset in datasets for problem in dataset.problems),
         )
 
+    @cached_property
+    def pose(self) -> PoseData:
+        """What the test of pose learns from and is tested on.
+
+        Raises:
+            InputError, DatasetError: a dataset cannot be read or converted, or they do not go together.
+        """
+        plan = self.config.pose
+        assert plan is not None, "cells of pose are planned with a test of pose"
+        learned = read_all(plan.train, plan.scheme)
+        scheme = same_scheme(learned)
+        complete = tuple(face for dataset in learned for face in dataset.faces if face.complete)
+        if not complete:
+            raise InputError(f"[pose] train: expected faces with all landmarks; found none in {', '.join(plan.train)}")
+        tested = {dataset.spec: dataset for dataset in read_all(plan.test, None)}
+        for spec, dataset in tested.items():
+            if dataset.scheme == NO_LANDMARKS and scheme != CALIBRATED:
+                raise InputError(
+                    f"[pose]: {spec} has no landmarks, and how faces lie in its boxes can be told to models of "
+                    f"{CALIBRATED.name} only; expected train with these, got {scheme.name}"
+                )
+            if dataset.scheme not in (NO_LANDMARKS, scheme):
+                raise InputError(
+                    f"[pose]: expected test faces of {scheme.name}, as in train, or without landmarks; {spec} has "
+                    f"{dataset.scheme.name}"
+                )
+        return PoseData(scheme, complete, tested)
+
     def result(self, name: str) -> Path:
         """The file of a cell's results."""
         return self.folder / "cells" / f"{name}.npz"
@@ -111,6 +165,13 @@ class Lab:
     def save_result(self, name: str, arrays: dict[str, np.ndarray]) -> None:
         """Keep a cell's results, whole or not at all."""
         save_arrays(self.result(name), arrays)
+
+    def cost(self, name: str) -> tuple[float, float] | None:
+        """The seconds and the work of a cell; None if it is not done."""
+        if name not in self._costs and self.result(name).exists():
+            told = load_arrays(self.result(name), ("seconds", "work"))
+            self._costs[name] = float(told["seconds"]), float(told["work"])
+        return self._costs.get(name)
 
     def load_model(self, name: str) -> Model:
         """The model that a cell kept."""
@@ -125,11 +186,14 @@ class Lab:
         return self.folder / "models" / f"{name}.safetensors"
 
     def write_faces(self) -> None:
-        """Keep what is known of the faces, for reports."""
+        """Keep what is known of the faces, for reports, and where their pictures lie now."""
         for name, faces in self.faces.items():
             path = self.folder / "datasets" / f"{name}.npz"
+            images = np.array([os.path.abspath(face.image) for face in faces.records])
             if not path.exists():
-                save_arrays(path, _described(faces))
+                save_arrays(path, {**_described(faces), "image": images})
+            elif not np.array_equal((kept := load_arrays(path))["image"], images):
+                save_arrays(path, {**kept, "image": images})
 
 
 def read_all(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
@@ -181,26 +245,27 @@ def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def load_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a file of `save_arrays`.
+def load_arrays(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a file of `save_arrays`, all or those that are named.
 
     Raises:
-        InputError: the file is damaged.
+        InputError: the file is missing or damaged.
     """
     try:
         with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
+            return {name: arrays[name] for name in names or arrays.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: is missing; run the experiment again, which writes it") from None
     except (ValueError, OSError, EOFError, KeyError, BadZipFile) as error:
         raise InputError(f"{path}: is damaged ({error}); delete it and run the experiment again") from None
 
 
 def _described(faces: Faces) -> dict[str, np.ndarray]:
-    """What a report needs of the faces."""
+    """What a report needs of the faces, but their pictures."""
     labelled = np.array([[np.nan] * 3 if face.pose is None else face.pose for face in faces.records])
     return {
         "face": np.array([face.face for face in faces.records]),
         "subject": np.array(faces.subjects),
-        "image": np.array([os.path.abspath(face.image) for face in faces.records]),
         "fold": faces.folds,
         "box": faces.boxes,
         "landmarks": faces.landmarks,

@@ -3,7 +3,6 @@
 import base64
 import importlib.resources
 import math
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ import numpy as np
 from jaxfit.data.outputs import atomic_write
 from jaxfit.evaluation.tables import format_cells, is_numeric
 from jaxfit.exceptions import InputError
-from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Table
+from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Table, check_names
 from jaxfit.experiments.figure_files import write_figure
 from jaxfit.experiments.markdown_file import markdown_text
 from jaxfit.experiments.table_files import write_table
@@ -20,7 +19,6 @@ from jaxfit.experiments.table_files import write_table
 if TYPE_CHECKING:
     import jinja2
 
-_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")  # a file's on every system
 _WIDE_FIGURE = 8.5  # inches; narrower figures may stand side by side
 
 
@@ -38,8 +36,9 @@ def write_document(document: Document, folder: Path) -> None:
         InputError: jinja2 is missing, or the names of tables or figures are not file names or not unique.
     """
     template = _template()
+    parts = [part for section in document.sections for part in section.parts]
     for kind in (Table, Figure):
-        _check_names([part.name for section in document.sections for part in section.parts if isinstance(part, kind)])
+        check_names([part.name for part in parts if isinstance(part, kind)], f"{kind.__name__.lower()}s")
     for name in ("tables", "figures"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     sections = [
@@ -63,19 +62,6 @@ def _template() -> "jinja2.Template":
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     source = importlib.resources.files("jaxfit.experiments").joinpath("report.html.jinja")
     return environment.from_string(source.read_text(encoding="utf-8"))
-
-
-def _check_names(names: list[str]) -> None:
-    seen = set()
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise InputError(
-                f"the names of tables and figures name files: expected letters and digits with single '.', '_' or '-' "
-                f"between them; got {name!r}"
-            )
-        if name.casefold() in seen:  # some file systems do not tell case
-            raise InputError(f"two tables or two figures are called {name}; give each a name of its own")
-        seen.add(name.casefold())
 
 
 def _part(part: Table | Figure | Gallery, folder: Path) -> dict[str, Any]:

@@ -14,14 +14,16 @@ from jax import numpy as jnp
 import jaxfit
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.data.outputs import require_same_settings
-from jaxfit.exceptions import InputError
+from jaxfit.exceptions import InputError, JaxfitError
 from jaxfit.experiments.cells import Cell, plan
 from jaxfit.experiments.config import Config
-from jaxfit.experiments.lab import Lab, load_arrays
+from jaxfit.experiments.lab import Lab
 from jaxfit.models.files import load
 
 # What an experiment's folder says that it is.
 SETTINGS = "config.json"
+# What it says of the faces beside the configuration.
+OF_FACES = ("faces", "digests")
 # Seconds between looks at what other processes do.
 _PATIENCE = 2.0
 # Training takes some more than describing windows.
@@ -65,15 +67,21 @@ def run(
         begun: called with each cell before it is run, and how far the experiment is.
 
     Raises:
-        InputError: the folder holds results of another configuration, or something needed is not there.
+        InputError: the folder holds results of another configuration, something needed is not there, or a cell failed:
+            all others that do not need it are done before that is told.
         DatasetError: a dataset cannot be read.
     """
     lab = Lab(config, folder)
     keep_settings(lab)
     lab.write_faces()
     waiting, ran = plan(config), 0
-    while waiting := [cell for cell in waiting if not lab.result(cell.name).exists()]:
-        before = ran
+    failed: dict[str, JaxfitError] = {}
+    while waiting := [
+        cell
+        for cell in waiting
+        if not lab.result(cell.name).exists() and failed.keys().isdisjoint((cell.name, *cell.needs))
+    ]:
+        before = ran + len(failed)
         for cell in waiting:
             if lab.result(cell.name).exists() or not all(lab.result(name).exists() for name in cell.needs):
                 continue
@@ -82,15 +90,22 @@ def run(
                     continue
                 begun(cell, standing(lab))
                 begin = time.perf_counter()
-                arrays = cell.run(lab, progress)
+                try:
+                    arrays = cell.run(lab, progress)
+                except JaxfitError as error:
+                    failed[cell.name] = error
+                    continue
                 seconds = np.array(time.perf_counter() - begin)
                 told = {"seconds": seconds, "work": np.array(cell.work(lab)), "made_with": np.array(_made_with())}
                 lab.save_result(cell.name, {**arrays, **told})
                 ran += 1
                 if ran % _CELLS_COMPILED == 0:
                     jax.clear_caches()
-        if ran == before:
+        if ran + len(failed) == before:
             time.sleep(_PATIENCE)  # what is left is being run by others, or waits for them
+    if failed:
+        whys = "; ".join(f"{name}: {error}" for name, error in failed.items())
+        raise InputError(f"these cells failed, and what needs them was not run: {whys}")
 
 
 def keep_settings(lab: Lab) -> None:
@@ -104,9 +119,12 @@ def keep_settings(lab: Lab) -> None:
     # Data may lie elsewhere next time.
     for name, dataset in settings["datasets"].items():
         dataset["data"] = [_folder_name(spec) for spec in dataset["data"]]
-        settings.setdefault("faces", {})[name] = len(lab.faces[name].records)
+        for key, told in zip(OF_FACES, (len(lab.faces[name].records), lab.faces[name].digest), strict=True):
+            settings.setdefault(key, {})[name] = told
     for key in ("train", "test") if lab.config.pose else ():
         settings["pose"][key] = [_folder_name(spec) for spec in settings["pose"][key]]
+    if lab.config.pose:  # read before hours of training, in case it cannot be
+        settings.setdefault("faces", {})["[pose]"] = len(lab.pose.learned)
     lab.folder.mkdir(parents=True, exist_ok=True)
     require_same_settings(lab.folder / SETTINGS, settings)
 
@@ -114,12 +132,9 @@ def keep_settings(lab: Lab) -> None:
 def standing(lab: Lab) -> Standing:
     """How far an experiment is, and how long the rest takes by the pace of what is done."""
     cells = plan(lab.config)
-    left = [cell for cell in cells if not lab.result(cell.name).exists()]
-    seconds = work = 0.0
-    for cell in cells:
-        if cell not in left:
-            arrays = load_arrays(lab.result(cell.name))
-            seconds, work = seconds + float(arrays["seconds"]), work + float(arrays["work"])
+    costs = {cell.name: lab.cost(cell.name) for cell in cells}
+    seconds, work = (sum(each) for each in zip((0.0, 0.0), *filter(None, costs.values()), strict=True))
+    left = [cell for cell in cells if costs[cell.name] is None]
     to_do = sum(cell.work(lab) for cell in left)
     return Standing(len(cells), len(cells) - len(left), to_do, to_do * seconds / work if work else float("nan"))
 

@@ -8,7 +8,9 @@ from jaxfit.types import Picture
 Packed = Float[Array, "height width 4"]
 
 
-def _split(coordinates: Float[Array, "*samples"], size: int) -> tuple[Int[Array, "*samples"], Float[Array, "*samples"]]:
+def split(
+    coordinates: Float[Array, "*samples"], size: int | Int[Array, ""]
+) -> tuple[Int[Array, "*samples"], Float[Array, "*samples"]]:
     """The pixel at or before each coordinate, and how far towards the next one it lies, in [0, 1]."""
     coordinates = jnp.clip(coordinates, 0.0, size - 1.0)
     # The last cell is closed on both sides, so that the last pixel needs no neighbour beyond the edge.
@@ -25,8 +27,8 @@ def pack(picture: Picture) -> Packed:
 def bilinear(packed: Packed, x: Float[Array, "*samples"], y: Float[Array, "*samples"]) -> Float[Array, "*samples"]:
     """Values of a picture, given as ``pack(picture)``, at any points ``(x, y)``, in pixels with centres at integers."""
     height, width, _ = packed.shape
-    left, right_share = _split(x, width)
-    top, bottom_share = _split(y, height)
+    left, right_share = split(x, width)
+    top, bottom_share = split(y, height)
     # Clipped above, so the bounds check that XLA would add to every look-up is not needed.
     four = packed.reshape(-1, 4).at[top * width + left].get(mode="promise_in_bounds")
     upper = four[..., 0] + right_share * (four[..., 1] - four[..., 0])
@@ -45,7 +47,7 @@ def bilinear_grid(
 
 
 def _interpolate_rows(picture: Picture, y: Float[Array, "rows"]) -> Float[Array, "rows width"]:
-    top, share = _split(y, picture.shape[0])
+    top, share = split(y, picture.shape[0])
     upper = picture.at[top].get(mode="promise_in_bounds")
     lower = picture.at[top + 1].get(mode="promise_in_bounds")
     return upper + share[:, None] * (lower - upper)

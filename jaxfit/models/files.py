@@ -60,6 +60,7 @@ def save(model: Model, path: str | Path) -> None:
         "weights": _half(cascade.weights),
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
+        **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
         **_arrays("space", cascade.space),
         **({} if model.head is None else _arrays("head", model.head)),
     }
@@ -183,7 +184,12 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
     options = dict(header["descriptor"])
     descriptor = DESCRIPTORS[options.pop("kind")](**options)
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
-    expected = {"weights": (steps, features, params), "biases": (steps, params), "windows": (steps,)}
+    expected = {"biases": (steps, params), "windows": (steps,)}
+    if "directions" in tensors:
+        rank = tensors["directions"].shape[1]
+        expected |= {"weights": (steps, features, rank), "directions": (steps, rank, params)}
+    else:
+        expected["weights"] = (steps, features, params)
     for name, shape in expected.items():
         if tensors[name].shape != shape:
             raise ModelError(f"damaged: {name} has shape {tensors[name].shape}, expected {shape}")
@@ -201,6 +207,7 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         windows=jnp.asarray(tensors["windows"], jnp.float32),
         descriptor=descriptor,
         frame=Frame(**header["frame"]),
+        directions=jnp.asarray(tensors["directions"], jnp.float32) if "directions" in tensors else None,
     )
 
 

@@ -26,19 +26,27 @@ class Patch:
 
     turns: bool = False
     samples: int = 3
+    levels = 1
+    frame = FRAME
 
     @property
     def size(self):
         return self.samples**2
 
+    def level(self, window):
+        return jnp.zeros((), jnp.int32)
+
     def prepare(self, crop):
         return pack(smooth(crop.astype(jnp.float32)) / 255)
 
-    def describe(self, prepared, point, side, angle):
+    def describe(self, prepared, level, point, side, angle):
         line = side * jnp.linspace(-0.5, 0.5, self.samples)
         grid = jnp.stack(jnp.meshgrid(line, line), -1).reshape(-1, 2)
         x, y = (rotate(grid, angle * self.turns) + point).T
-        return bilinear(prepared, x, y)
+        return bilinear(prepared, x, y)[:, None]
+
+    def normalise(self, histograms):
+        return histograms.reshape(-1)
 
 
 def blob_faces(count, seed):

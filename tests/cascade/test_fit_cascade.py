@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxfit.cascade.fit import centroid, fit_crops, fit_face, fit_heads, fit_starts, start_rotations, starts_of
 from jaxfit.cascade.model import Cascade
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.asm import ActiveShapeModel
@@ -52,7 +53,8 @@ def test_is_a_loop_over_steps_and_landmarks():
         points = params.reshape(4, 2)
         size = np.sqrt(((points - points.mean(0)) ** 2).sum() / (MEAN**2).sum())
         seen = [
-            CASCADE.descriptor.describe(prepared, jnp.asarray(point), window * size, jnp.float32(0)) for point in points
+            describe_point(CASCADE.descriptor, prepared, jnp.asarray(point), window * size, jnp.float32(0))
+            for point in points
         ]
         params = params + size * (np.concatenate(seen) @ np.asarray(weights) + np.asarray(bias))
     assert np.abs(params - START).max() > 2
@@ -153,9 +155,9 @@ def test_a_turned_picture_is_no_harder_for_windows_that_turn(space, quarters):
     turned_start = Start(centre, start.scale, start.rotation + jnp.float32(quarters * np.pi / 2))
     fit, still = jax.jit(fit_starts), replace(cascade, weights=0 * cascade.weights)
     for crop, turned_crop in zip(CROPS, turned_crops, strict=True):
-        expected = np.asarray(fit(cascade, crop, start))
-        assert np.abs(expected - fit(still, crop, start)).max() > 1
-        found = fit(cascade, turned_crop, turned_start)
+        expected = np.asarray(fit(cascade, crop[None], start))
+        assert np.abs(expected - fit(still, crop[None], start)).max() > 1
+        found = fit(cascade, turned_crop[None], turned_start)
         np.testing.assert_allclose(found, (expected - 23.5) @ turn.T + 23.5, atol=0.02)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from jaxfit.cascade.regression import Moments, principal_axes, solve
+from jaxfit.cascade.regression import Moments, main_directions, principal_axes, solve
 from jaxfit.exceptions import InputError
 
 SAMPLES, FEATURES, PARAMS = 80, 6, 3
@@ -48,6 +48,19 @@ def test_ridge_is_the_closed_form_with_a_free_intercept(ridge):
     expected = np.linalg.solve(covariance + penalty, centred_x.T @ centred_y / SAMPLES)
     np.testing.assert_allclose(weights, expected, atol=2e-4)
     np.testing.assert_allclose(bias, y.mean(0) - x.mean(0) @ expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("rank", [1, 2])
+def test_along_the_main_directions_predictions_come_nearest_to_all(rank):
+    # Of all predictions of that rank, the ones that numpy's singular vectors give are nearest (Eckart and Young).
+    x, y = samples()
+    weights, _ = solve(moments(x, y), jnp.float32(0.1))
+    predicted = (x - x.mean(0)).astype(np.float64) @ np.asarray(weights, np.float64)
+    left, values, right = np.linalg.svd(predicted, full_matrices=False)
+    directions = np.asarray(main_directions(moments(x, y), weights, rank))
+    np.testing.assert_allclose(directions @ directions.T, np.eye(rank), atol=1e-5)
+    nearest = left[:, :rank] * values[:rank] @ right[:rank]
+    np.testing.assert_allclose(predicted @ directions.T @ directions, nearest, atol=2e-3)
 
 
 @pytest.mark.parametrize("ridge", [0.0, 0.1])

@@ -12,6 +12,7 @@ from jax import numpy as jnp
 from jaxfit.cascade import train
 from jaxfit.cascade.fit import State, fit_crops, start_rotations
 from jaxfit.cascade.train import Spread, TrainingSet, sample_starts, train_cascade
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 
@@ -71,9 +72,8 @@ def test_the_first_step_is_ridge_regression_on_the_dense_matrix(monkeypatch):
 
     sizes = np.sqrt(((starts - starts.mean(2, keepdims=True)) ** 2).sum((2, 3)) / (MEAN**2).sum())
     prepared = jax.vmap(Patch().prepare)(CROPS)
-    describe = jax.vmap(
-        jax.vmap(jax.vmap(Patch().describe, (None, 0, None, None)), (None, 0, 0, None)), (0, 0, 0, None)
-    )
+    of_point = partial(describe_point, Patch())
+    describe = jax.vmap(jax.vmap(jax.vmap(of_point, (None, 0, None, None)), (None, 0, 0, None)), (0, 0, 0, None))
     x = np.asarray(describe(prepared, starts, 0.9 * FRAME.face * sizes, jnp.float32(0)), np.float64).reshape(
         4 * COUNT, -1
     )
@@ -84,6 +84,20 @@ def test_the_first_step_is_ridge_regression_on_the_dense_matrix(monkeypatch):
     expected = y.mean(0) + centred @ np.linalg.solve(covariance + penalty, centred.T @ (y - y.mean(0)) / len(x))
     # The weights are rounded to 16 bits.
     np.testing.assert_allclose(x @ np.asarray(cascade.weights[0]) + np.asarray(cascade.biases[0]), expected, atol=0.02)
+
+
+def test_few_directions_are_shared_by_all_samples_and_learn_too():
+    cascade = trained(rank=5)
+    assert cascade.weights.shape == (3, plain().weights.shape[1], 5)
+    products = np.einsum("srp,sqp->srq", cascade.directions, cascade.directions)
+    np.testing.assert_allclose(products, np.tile(np.eye(5), (3, 1, 1)), atol=1e-5)
+    # Places, sizes and rotations are four directions; by how much each blob is off its place are the others.
+    assert error_after(cascade, 3, NEW_CROPS, NEW_LANDMARKS) < 0.5 * mean_error(START, NEW_LANDMARKS)
+
+
+def test_as_many_directions_as_parameters_are_all():
+    assert trained(rank=SPACE.size).directions is None
+    assert_same_bits(trained(rank=SPACE.size), plain())
 
 
 def test_the_same_seed_gives_the_same_bits():

@@ -9,6 +9,7 @@ import pytest
 from jax import numpy as jnp
 from scipy import ndimage
 
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Prepared, Sift
 from jaxfit.exceptions import InputError
 from jaxfit.image.sampling import pack
@@ -22,14 +23,14 @@ OPTIONS = [(o, n) for o in ("upright", "face", "principal") for n in ("cell", "v
 def describer(orientation="upright", normalisation="cell"):
     """Descriptor of a uint8 crop."""
     sift = Sift(orientation, normalisation)
-    return jax.jit(lambda crop, point, side, angle: sift.describe(sift.prepare(crop), point, side, angle))
+    return jax.jit(lambda crop, point, side, angle: describe_point(sift, sift.prepare(crop), point, side, angle))
 
 
 @cache
 def plain_describer(orientation):
     """Descriptor of a picture that is taken as it is, not smoothed."""
     sift = Sift(orientation, "cell")
-    return jax.jit(lambda picture, *where: sift.describe(Prepared(picture, pack(picture)), *where))
+    return jax.jit(lambda picture, *where: describe_point(sift, Prepared(picture, pack(picture)), *where))
 
 
 def describe(crop, point=(MIDDLE, MIDDLE), side=24.0, orientation="upright", normalisation="cell", angle=0.0):
@@ -97,7 +98,7 @@ def test_gradients_are_finite_and_alive(orientation, normalisation):
     sift = Sift(orientation, normalisation)
     weights = np.random.default_rng(0).normal(size=sift.size).astype(np.float32)
     # Compiled without optimisation, which would take twice as long and changes nothing here.
-    gradient = jax.grad(lambda *inputs: sift.describe(*inputs) @ weights, (0, 1, 2, 3))
+    gradient = jax.grad(lambda *inputs: describe_point(sift, *inputs) @ weights, (0, 1, 2, 3))
     gradients = jax.jit(gradient, compiler_options={"xla_backend_optimization_level": 0})
     for crop in (textured(), half_flat(), np.full((SIZE, SIZE), 200, np.uint8), np.zeros((SIZE, SIZE), np.uint8)):
         prepared = sift.prepare(jnp.asarray(crop))

@@ -9,6 +9,7 @@ import pytest
 from jax import numpy as jnp
 from scipy import ndimage
 
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift, octant
 
 CROP = 56
@@ -70,7 +71,9 @@ def reference(crop, point, side, orientation, normalisation, angle):
 @pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
 def test_agrees_with_the_reference(orientation, normalisation):
     sift = Sift(orientation, normalisation)
-    describe = jax.jit(lambda crop, point, side: sift.describe(sift.prepare(crop), point, side, jnp.float32(0.7)))
+    describe = jax.jit(
+        lambda crop, point, side: describe_point(sift, sift.prepare(crop), point, side, jnp.float32(0.7))
+    )
     # Windows inside the picture: beyond its edge differences are exactly 0, and orientations on the border of bins.
     places = [((27.3, 29.6), 24.0), ((30.0, 26.0), 32.0), ((20.25, 33.5), 12.7), ((15.2, 40.9), 18.0)]
     for seed, (point, side) in enumerate(places):

@@ -10,6 +10,7 @@ import pytest
 from jax import numpy as jnp
 from scipy import ndimage
 
+from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift, principal_orientation, upright_window
 from jaxfit.evaluation.curves import ced
 from jaxfit.evaluation.plots import plot_ced, plot_descriptor, plot_modes, plot_pose_surface
@@ -32,14 +33,14 @@ def pyplot() -> Iterator:
 
 
 def test_curves_labels_and_legend(pyplot) -> None:
-    axes = plot_ced(ERRORS, limit=0.05)
-    assert axes.get_xlabel()
+    axes = plot_ced(ERRORS, limit=0.05, error="NMED (3D)")
+    assert axes.get_xlabel() == "NMED (3D)"
     assert axes.get_ylabel()
     assert axes.get_xlim() == (0.0, 0.05)
     for line, errors in zip(axes.get_lines(), ERRORS.values(), strict=True):
         np.testing.assert_array_equal(line.get_ydata(), ced(errors, np.asarray(line.get_xdata())))
     entries = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert entries == ["SDM (AUC 0.267)", "parametric (AUC 0.600)"]
+    assert entries == ["SDM (AUC@0.05 0.267)", "parametric (AUC@0.05 0.600)"]
     axes.figure.canvas.draw()
 
 
@@ -137,7 +138,7 @@ def principal_angle(crop: jax.Array) -> jax.Array:
 
 @partial(jax.jit, static_argnums=0)
 def described(sift: Sift, crop: jax.Array) -> jax.Array:
-    return sift.describe(sift.prepare(crop), jnp.float32(POINT), jnp.float32(SIDE), jnp.float32(ANGLE))
+    return describe_point(sift, sift.prepare(crop), jnp.float32(POINT), jnp.float32(SIDE), jnp.float32(ANGLE))
 
 
 def window_angle(orientation: str, crop: np.ndarray) -> float:
@@ -146,8 +147,9 @@ def window_angle(orientation: str, crop: np.ndarray) -> float:
     return {"upright": 0.0, "face": ANGLE}[orientation]
 
 
-@pytest.mark.parametrize("normalisation", ["cell", "vector"])
-@pytest.mark.parametrize("orientation", ["upright", "face", "principal"])
+@pytest.mark.parametrize(
+    ("orientation", "normalisation"), [("upright", "vector"), ("face", "cell"), ("principal", "vector")]
+)
 def test_descriptor(pyplot, crop: np.ndarray, orientation: str, normalisation: str) -> None:
     sift = Sift(orientation, normalisation)
     ax = plot_descriptor(sift, crop, POINT, SIDE, ANGLE)

@@ -14,6 +14,7 @@ from jaxfit.evaluation.pose import (
     ANGLES,
     POSE_COLUMNS,
     compare_pose,
+    grid_centres,
     in_order,
     pose_errors,
     pose_grid,
@@ -22,7 +23,7 @@ from jaxfit.evaluation.pose import (
     pose_rows,
     summarise_pose,
 )
-from jaxfit.evaluation.tables import markdown_table, text_table
+from jaxfit.evaluation.tables import comparison_row, markdown_table, text_table
 from jaxfit.exceptions import InputError
 
 UNKNOWN, LOST = np.nan, (np.nan, np.nan, np.nan)
@@ -270,20 +271,41 @@ def test_tables_of_rows() -> None:
     assert "| \\|yaw\\| ≤ 45° | pitch | 2 | 1 | 0.25 | - | inf |" in markdown_table(rows, POSE_COLUMNS)
 
 
-def test_comparisons_are_rank_sums_of_absolute_errors() -> None:
+def test_comparisons_are_of_absolute_errors() -> None:
     fitted, truth = random_poses(6)
-    a, b = pose_errors(fitted, truth), pose_errors(truth, truth - 15)[:60]
-    p = compare_pose(a, b)
-    assert tuple(p) == ANGLES
-    for column, angle in enumerate(ANGLES):
+    a, b = pose_errors(fitted, truth), pose_errors(truth, truth - 15)
+    rows = compare_pose(a, b)
+    for column, (angle, row) in enumerate(zip(ANGLES, rows, strict=True)):
         sizes = [np.abs(errors[:, column]) for errors in (a, b)]
-        worst = [np.minimum(size[~np.isnan(size)], 1e9) for size in sizes]
-        assert p[angle] == pytest.approx(stats.mannwhitneyu(*worst).pvalue)
+        assert row == {"angle": angle, **comparison_row(*sizes)}
     # Only the size of an error counts, and unknown angles say nothing.
-    assert compare_pose(-a, b) == p == compare_pose(b, a)
-    assert math.isnan(compare_pose(a * (UNKNOWN, 1, 1), b)["roll"])
-    with pytest.raises(InputError, match=r"pose errors.*\(60,\)"):
+    assert compare_pose(-a, b) == rows
+    assert [row["angle"] for row in compare_pose(a * (UNKNOWN, 1, 1), b)] == ["pitch", "yaw"]
+    with pytest.raises(InputError, match=r"pose errors.*\(80,\)"):
         compare_pose(a, b[:, 0])
+
+
+def test_many_pictures_of_few_people_are_few() -> None:
+    rng = np.random.default_rng(9)
+    people = np.repeat([f"person {number}" for number in range(7)], 40)
+    truth = np.stack([np.full(280, UNKNOWN), np.tile(np.linspace(-80, 80, 40), 7), np.zeros(280)], 1)
+    habits = np.repeat(rng.normal(0, 5, (7, 3)), 40, axis=0)
+    fitted = np.nan_to_num(truth) + habits + rng.normal(0, 1, truth.shape)
+    for row, of_faces in zip(pose_rows(fitted, truth, people), pose_rows(fitted, truth), strict=True):
+        assert row["± 95 %"] > 3 * of_faces["± 95 %"]
+        assert {**row, "± 95 %": 0} == {**of_faces, "± 95 %": 0}
+    # Two methods that differ by people's habits alone.
+    errors, baseline = (pose_errors(fits, truth) for fits in (fitted, np.nan_to_num(truth) + np.roll(habits, 40, 0)))
+    for row, of_faces in zip(compare_pose(errors, baseline, people), compare_pose(errors, baseline), strict=True):
+        assert row["signed-rank p"] > 0.05
+        assert row["rank-sum p"] == of_faces["rank-sum p"]
+
+
+def test_centres_of_grids() -> None:
+    assert grid_centres(discrete_poses(0)[1]) == (None, None)
+    pitches, yaws = grid_centres(random_poses(0)[1])
+    assert pitches is not None
+    assert len(pitches) * len(yaws) < 60
 
 
 def test_discrete_poses_are_the_grid() -> None:
@@ -366,7 +388,7 @@ def test_table_of_a_grid() -> None:
     assert pose_grid_table(grid).splitlines() == [
         "| pitch \\ yaw | 0 | 15 |",
         "| ---: | ---: | ---: |",
-        "| -22.5 | 1.50 | - |",
-        "| 0 | - | 0.12 |",
+        "| -22.5 | 1.5 | - |",
+        "| 0 | - | 0.1 |",
         "| 90 | - | - |",
     ]

@@ -8,7 +8,17 @@ import pytest
 from scipy import stats
 
 from jaxfit.evaluation.curves import areas, auc, failure_rate, failures
-from jaxfit.evaluation.statistics import auc_ci, bootstrap_ci, failure_ci, holm, rank_sum, signed_rank, summarise
+from jaxfit.evaluation.statistics import (
+    auc_ci,
+    bootstrap_ci,
+    failure_ci,
+    holm,
+    rank_sum,
+    relative_difference,
+    signed_rank,
+    subject_means,
+    summarise,
+)
 from jaxfit.exceptions import InputError
 
 
@@ -251,25 +261,88 @@ def test_intervals_are_of_contributions() -> None:
         assert interval(errors, 0.06, owners, seed=1) != (low, high) == interval(errors, 0.06, owners, seed=0)
 
 
-@pytest.mark.parametrize(("interval", "true"), [(auc_ci, auc), (failure_ci, failure_rate)])
-def test_intervals_cover_the_truth(interval, true) -> None:
-    truth = true(lognormal_errors(100, 1_000_000))
-    intervals = np.array([interval(lognormal_errors(seed, 80), samples=600) for seed in range(300)])
-    covered = np.mean((intervals[:, 0] <= truth) & (truth <= intervals[:, 1]))
-    assert 0.9 <= covered <= 0.98
-
-
 def test_intervals_of_subjects_cover_the_truth_and_those_of_faces_do_not() -> None:
     truth = auc(clustered_errors(100, 100_000, 10)[0])
     covered = np.zeros(2)
-    for seed in range(300):
+    for seed in range(200):
         errors, owners = clustered_errors(seed, 40, 10)
         for column, subjects in enumerate((owners, None)):
             low, high = auc_ci(errors, subjects=subjects, samples=400)
             covered[column] += low <= truth <= high
-    of_subjects, of_faces = covered / 300
+    of_subjects, of_faces = covered / 200
     assert 0.9 <= of_subjects <= 0.98
     assert of_faces < 0.75
+
+
+def test_intervals_of_means_are_those_of_clusters() -> None:
+    api = pytest.importorskip("statsmodels.api")
+    errors, owners = clustered_errors(9, 8, 6)
+    errors, owners = errors[4:], owners[4:]  # of different sizes
+    known = np.append(errors, [np.inf, np.nan])
+    summary = summarise(known, subjects=np.append(owners, [0, 1]))
+    clustered = {"groups": owners, "use_correction": True, "df_correction": True}
+    model = api.OLS(errors, np.ones(errors.size)).fit(cov_type="cluster", cov_kwds=clustered, use_t=True)
+    ((low, high),) = model.conf_int()
+    assert (summary.mean - summary.ci95, summary.mean + summary.ci95) == pytest.approx((low, high))
+    with pytest.raises(InputError, match="subject of each of 44 faces; got 2"):
+        summarise(errors, subjects=["a", "b"])
+
+
+def two_methods(seed: int, subjects: int = 7, faces: int = 30) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Errors of two methods that are equally good, though not with everyone, and who they are of."""
+    errors, owners = clustered_errors(seed, subjects, faces)
+    rng = np.random.default_rng([seed, 1])
+    other = errors * rng.lognormal(sigma=0.1, size=subjects)[owners] * rng.lognormal(sigma=0.1, size=owners.size)
+    return errors * rng.lognormal(sigma=0.1, size=subjects)[owners], other, owners
+
+
+def test_with_few_people_means_and_differences_are_covered_and_tests_keep_quiet() -> None:
+    runs = 300
+    truth = clustered_errors(100, 100_000, 10)[0].mean()
+    covered, found = np.zeros(2), np.zeros(2)
+    for seed in range(runs):
+        errors, other, owners = two_methods(seed)
+        difference, width = relative_difference(errors, other, owners)
+        covered[0] += abs(difference) <= width
+        summary = summarise(clustered_errors(seed, 20, 10)[0], subjects=np.repeat(np.arange(20), 10))
+        covered[1] += abs(summary.mean - truth) <= summary.ci95
+        found += [signed_rank(errors, other, owners) < 0.05, signed_rank(errors, other) < 0.05]
+    assert (covered / runs >= 0.9).all()
+    assert found[0] / runs < 0.08
+    assert found[1] / runs > 0.4
+
+
+def test_relative_differences() -> None:
+    errors, other, owners = two_methods(1)
+    assert relative_difference(1.1 * errors, errors, owners) == pytest.approx((0.1, 0.0))
+    difference, width = relative_difference(errors, other, owners)
+    totals = np.bincount(owners, errors), np.bincount(owners, other)
+    assert difference == pytest.approx(totals[0].sum() / totals[1].sum() - 1)
+    # The jackknife over people, an independent way to the same.
+    left_out = (totals[0].sum() - totals[0]) / (totals[1].sum() - totals[1])
+    deviation = np.sqrt(6 / 7 * np.square(left_out - left_out.mean()).sum())
+    assert width == pytest.approx(stats.t.ppf(0.975, 6) * deviation, rel=0.1)
+    # What one of the two failed on, or could not measure, is left out.
+    gaps = np.append(errors, [np.inf, np.nan, 0.1]), np.append(other, [0.1, 0.1, np.inf])
+    assert relative_difference(*gaps, np.append(owners, [0, 0, 0])) == (difference, width)
+    assert np.isnan(relative_difference(np.ones(3), np.zeros(3))).all()
+    assert np.isnan(relative_difference(np.array([0.1]), np.array([0.2]))[1])
+
+
+def test_people_are_paired_by_their_means() -> None:
+    errors, other, owners = two_methods(2)
+    means = [np.array([of[owners == person].mean() for person in range(7)]) for of in (errors, other)]
+    np.testing.assert_allclose(subject_means(errors, owners), means[0])
+    assert signed_rank(errors, other, owners) == signed_rank(*means)
+    # A face that both failed on does not take its person along; one that a single method failed on does.
+    a, b = np.append(errors, [np.inf, np.nan]), np.append(other, [np.inf, 0.1])
+    people = np.append(owners, [0, 1])
+    assert signed_rank(a, b, people) == signed_rank(*means)
+    a[-2], means[1][0] = 0.1, 1e9
+    assert signed_rank(a, b, people) == signed_rank(*means)
+    assert signed_rank(np.array([np.inf]), np.array([np.inf]), ["a"]) == 1.0
+    with pytest.raises(InputError, match="subject of each of 2 faces; got 1"):
+        signed_rank(np.zeros(2), np.ones(2), ["a"])
 
 
 def test_one_subject_a_face_is_no_subjects() -> None:

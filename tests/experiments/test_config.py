@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.exceptions import InputError
 from jaxfit.experiments.config import config_from, read_config
 
@@ -92,11 +93,39 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ('"aflw21"', '"aflw19"', r"\[datasets.faces\] scheme: "),
         ('["pts:a", "pts:b"]', '"pts:a"', 'data: expected a list of "FORMAT:PATH"'),
         ("[methods.regression3d]", "", "expected a 3D method among the methods"),
+        ("augmentations = [1, 4]", "augmentations = [1, 4, 4]", "augmentations: expected each but once"),
+        ("initialisations = [1, 3]", "initialisations = [3, 3]", "initialisations: expected each but once"),
+        ("[methods.sdm]", "[methods.sdm]\n[methods.SDM]\nmethod = 'sdm'", r"\[methods\]: two are called SDM"),
+        (
+            "[methods.sdm]",
+            "[methods.sdm]\n[methods.b-sdm]\nmethod = 'sdm'\n[datasets.faces-b]\ndata = ['pts:c']",
+            "joined by '-': two are called faces-b-sdm",
+        ),
+        ('"pointing04:c"', '"pointing:c"', r"\[pose\] test: expected FORMAT one of pts, .*; got pointing:c"),
+        ("[methods.sdm]", "[methods]\nsdm = 3", r"expected a table, \[methods.sdm\]; got sdm = 3"),
+        ("sigmas = 3", "sigmas = 'x'", r"\[methods.narrow\] sigmas: expected a number; got 'x'"),
+        ('{normalisation = "cell"}', '{kind = "hog"}', "descriptor.kind: expected one of sift, .*; got 'hog'"),
     ],
 )
 def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         config_from(changed(old, new))
+
+
+def test_little_need_be_said() -> None:
+    config = config_from(tomllib.loads("[datasets.faces]\ndata = ['pts:a']\n[methods.sdm]"))
+    assert config.chosen_steps == config.steps == len(config.methods[0].options.windows)
+    assert config_from(config.as_json()) == config
+
+
+def test_descriptors_of_other_kinds() -> None:
+    for kind, made in DESCRIPTORS.items():
+        config = config_from(changed('{normalisation = "cell"}', f'{{kind = "{kind}"}}'))
+        assert {type(plan.options.descriptor) for plan in config.methods} == {made}
+        assert config_from(config.as_json()) == config
+    # A part of the usual one.
+    sdm = config_from(changed('{normalisation = "cell"}', '{kind = "sift", normalisation = "cell"}')).method("sdm")
+    assert sdm == config_from(tomllib.loads(TEXT)).method("sdm")
 
 
 def test_files_that_are_none(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from safetensors.numpy import save as pack
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.train import Spread
 from jaxfit.data.placements import Placement
+from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError, ModelError
 from jaxfit.image.frame import Frame
@@ -96,6 +97,18 @@ def regression_model():
     return replace(points, cascade=cascade)
 
 
+def narrow_model():
+    """Of steps along one direction, on the dense descriptor."""
+    points, rng = model(), np.random.default_rng(4)
+    cascade = replace(
+        points.cascade,
+        weights=jnp.asarray(rng.normal(size=(2, 256, 1)).astype(np.float16), jnp.float32),
+        directions=jnp.asarray(rng.normal(size=(2, 1, 4)), jnp.float32),
+        descriptor=Dense("face"),
+    )
+    return replace(points, cascade=cascade)
+
+
 def same_arrays(a, b):
     pairs = zip(jax.tree.leaves((a.cascade, a.head)), jax.tree.leaves((b.cascade, b.head)), strict=True)
     return all(np.array_equal(one, other) for one, other in pairs)
@@ -166,6 +179,15 @@ def test_the_same_model_gives_the_same_bytes(tmp_path):
     assert first == second == third
     save(model(seed=1), paths[0])
     assert paths[0].read_bytes() != first
+
+
+def test_directions_of_other_sizes_are_refused(tmp_path, loaded):
+    path = tmp_path / "narrow.safetensors"
+    save(narrow_model(), path)
+    directions = unpack(path.read_bytes())["directions"]
+    assert isinstance(loaded(repacked(path.read_bytes())), Model)
+    for wrong in (directions[:1], directions[:, :, :3], directions.repeat(2, 1), directions[0]):
+        assert "damaged" in loaded(repacked(path.read_bytes(), directions=wrong))
 
 
 def test_truncated_files_are_refused(good, loaded):
@@ -353,7 +375,7 @@ def test_a_model_knows_square_boxes():
     assert model().placement("square") == PLACEMENT
 
 
-@pytest.mark.parametrize("made", [parametric_model, alignment_model, regression_model])
+@pytest.mark.parametrize("made", [parametric_model, alignment_model, regression_model, narrow_model])
 def test_models_of_all_methods_come_back_as_they_were(tmp_path, made):
     path = tmp_path / "a.safetensors"
     save(made(), path)

@@ -1,0 +1,159 @@
+"""Orientation maps computed once for a face, from which any landmark's 4 × 4 × 8 histogram is 16 look-ups."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from jax import numpy as jnp
+from jaxtyping import Array, Float, Int, UInt
+
+from jaxfit.descriptors.normalise import unit_length
+from jaxfit.exceptions import InputError
+from jaxfit.image.frame import Frame
+from jaxfit.image.sampling import split
+from jaxfit.types import Crop, Features, Point, Scalar
+
+CELLS = 4
+BINS = 8
+ORIENTATIONS = ("upright", "face")
+# Crop pixels at each edge that smoothing and differences use up.
+_MARGIN = 2
+# Side of the squares of each of the maps, in crop pixels.
+_STRIDES = (2, 4)
+# Side of a cell, in crop pixels, from which it is looked up in the coarse map.
+_COARSE_CELL = 4.5
+# Added to squared lengths, lest the root has no derivative at flat places; pixels count in the thousands.
+_TINY = 1e-6
+_SECTOR = 2 * math.pi / BINS
+_COS, _SIN = (f(np.arange(BINS) * _SECTOR).astype(np.float32) for f in (np.cos, np.sin))
+
+Differences = Float[Array, "rows columns"]
+Map = Float[Array, "down across 8"]
+Histograms = Float[Array, "16 8"]
+
+
+class Maps(NamedTuple):
+    """Gradient magnitudes by orientation, summed over squares of 2 × 2 and of 4 × 4 pixels of the crop."""
+
+    fine: Map
+    coarse: Map
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Histograms of gradient orientation like SIFT's, from maps that are shared by all windows.
+
+    A map holds, for every 2 × 2 pixels of the crop, the gradient magnitudes by orientation; a second one does so for
+    every 4 × 4 pixels. A cell of a window is a bilinear look-up at its centre in the map whose pixels suit its size.
+    What differs from SIFT: cells grow with the window by these two sizes only, a gradient counts in the two
+    orientations next to its own, and no weight falls towards the window's edge. (Sums of orientation maps are also what
+    DAISY is made of; Tola, Lepetit and Fua, 2010.)
+
+    Attributes:
+        orientation: ``"upright"`` keeps the picture's axes; ``"face"`` turns the window with the face.
+    """
+
+    orientation: Literal["upright", "face"] = "upright"
+
+    def __post_init__(self) -> None:
+        if self.orientation not in ORIENTATIONS:
+            raise InputError(f"expected an orientation among {', '.join(ORIENTATIONS)}; got {self.orientation!r}")
+
+    @property
+    def frame(self) -> Frame:
+        """The crops that suit it."""
+        return Frame(crop=116, face=64.0)
+
+    @property
+    def size(self) -> int:
+        """Length of one landmark's vector."""
+        return CELLS * CELLS * BINS
+
+    @property
+    def turns(self) -> bool:
+        """Whether the window turns with the face."""
+        return self.orientation == "face"
+
+    @property
+    def levels(self) -> int:
+        """One for each map."""
+        return len(_STRIDES)
+
+    def level(self, window: Scalar) -> Int[Array, ""]:
+        """The map whose squares suit a window's cells."""
+        return (window / CELLS > _COARSE_CELL).astype(jnp.int32)
+
+    def prepare(self, crop: Crop) -> Maps:
+        """The fine and the coarse map of a crop.
+
+        Raises:
+            InputError: the crop's side is not a multiple of 4.
+        """
+        if crop.shape[0] != crop.shape[1] or crop.shape[0] % 4:
+            raise InputError(f"expected square crops with a side that is a multiple of 4 pixels; got {crop.shape}")
+        fine = pooled(*gradients(crop))
+        quads = fine.reshape(len(fine) // 2, 2, len(fine) // 2, 2, BINS)
+        return Maps(fine, quads[:, 0, :, 0] + quads[:, 0, :, 1] + quads[:, 1, :, 0] + quads[:, 1, :, 1])
+
+    def describe(self, prepared: Maps, level: int, point: Point, side: Scalar, angle: Scalar) -> Histograms:
+        """The histograms of the 4 × 4 cells (rows first) of the window of ``side`` pixels around ``point``."""
+        steps = (jnp.arange(CELLS) - (CELLS - 1) / 2) * (side / CELLS)
+        x, y = jnp.meshgrid(steps, steps)
+        if self.turns:
+            cos, sin = jnp.cos(angle), jnp.sin(angle)
+            x, y = x * cos - y * sin, x * sin + y * cos
+        x, y = point[0] + x.reshape(-1), point[1] + y.reshape(-1)
+        found = look_up(prepared[level], x, y, _STRIDES[level])
+        return jnp.matmul(found, turned_bins(angle)) if self.turns else found
+
+    def normalise(self, histograms: Histograms) -> Features:
+        """As one vector of Euclidean length 1."""
+        return unit_length(histograms)
+
+
+def gradients(crop: Crop) -> tuple[Differences, Differences]:
+    """Differences dx, dy between neighbours in the crop smoothed by [1 2 1] in both directions, without its margin."""
+    pixels = crop.astype(jnp.float32)
+    across = pixels[:, :-2] + 2 * pixels[:, 1:-1] + pixels[:, 2:]
+    smoothed = across[:-2] + 2 * across[1:-1] + across[2:]
+    return smoothed[1:-1, 2:] - smoothed[1:-1, :-2], smoothed[2:, 1:-1] - smoothed[:-2, 1:-1]
+
+
+def orientations(dx: Float[Array, "*n"], dy: Float[Array, "*n"]) -> Float[Array, "*n 8"]:
+    """Gradients by orientation: bin k answers to directions within 45° of k · 45°, most to its own."""
+    dx, dy = dx[..., None], dy[..., None]
+    length = jnp.sqrt(dx**2 + dy**2 + _TINY)
+    return jnp.maximum(dx * _COS + dy * _SIN - math.cos(_SECTOR) * length, 0.0)
+
+
+def pooled(dx: Differences, dy: Differences) -> Map:
+    """Orientations of gradients, summed over squares of 2 × 2 pixels."""
+    parts = [orientations(dx[i::2, j::2], dy[i::2, j::2]) for i in (0, 1) for j in (0, 1)]
+    return sum(parts[1:], start=parts[0])
+
+
+def look_up(map_: Map, x: Float[Array, "points"], y: Float[Array, "points"], stride: int) -> Float[Array, "points 8"]:
+    """A map of squares of ``stride`` pixels at points of the crop, bilinearly; beyond it, at its edge."""
+    height, width, _ = map_.shape
+    first = _MARGIN + (stride - 1) / 2  # where the first square has its centre
+    left, right_share = split((x - first) / stride, width)
+    top, bottom_share = split((y - first) / stride, height)
+    squares, right_share, bottom_share = map_.reshape(-1, BINS), right_share[:, None], bottom_share[:, None]
+    # Unsigned, lest JAX looks for negative numbers, which count from the end.
+    corner = (top * width + left).astype(jnp.uint32)
+
+    def line(start: UInt[Array, "points"]) -> Float[Array, "points 8"]:
+        before = squares.at[start].get(mode="promise_in_bounds")
+        after = squares.at[start + jnp.uint32(1)].get(mode="promise_in_bounds")
+        return before + right_share * (after - before)
+
+    upper, lower = line(corner), line(corner + jnp.uint32(width))
+    return upper + bottom_share * (lower - upper)
+
+
+def turned_bins(angle: Scalar) -> Float[Array, "8 8"]:
+    """What turns histograms to a frame that is turned by ``angle``: each bin is shared between the two it falls on."""
+    bins = jnp.arange(BINS)
+    away = (bins[:, None] - bins[None, :] - angle / _SECTOR) % BINS
+    return jnp.maximum(0.0, 1.0 - jnp.minimum(away, BINS - away))
