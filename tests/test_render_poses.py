@@ -166,7 +166,7 @@ def test_runs_go_on_where_they_were(render, tmp_path, capsys):
     for path in whole.glob("*_*"):
         assert (out / path.name).read_bytes() == path.read_bytes()
     assert render(out, "--seed", "1") == 2
-    assert "other settings (seed)" in capsys.readouterr().err
+    assert "other settings (seed: 0 there, 1 here)" in capsys.readouterr().err
 
 
 def test_labels_that_no_head_has_are_reported(render, faces, tmp_path, capsys):

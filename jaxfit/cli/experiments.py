@@ -63,8 +63,11 @@ def run_command(options: argparse.Namespace) -> int:
     with Bars() as bars:
         told = _CellProgress(bars)
         run(config, folder, told.within, told.begun)
-    report_problems(list(read_results(folder).problems))
-    print(f"{told.ran} cells in {duration(time.monotonic() - begin)}; next: jaxfit experiments report {options.out}")
+    results = read_results(folder)
+    report_problems(list(results.problems))
+    done = f"{results.cells - results.missing} of {results.cells} cells done"
+    took = f"{told.ran} of them now, in {duration(time.monotonic() - begin)}"
+    print(f"{done}, {took}; next: jaxfit experiments report {options.out}")
     return 0
 
 
@@ -118,7 +121,8 @@ def report_command(options: argparse.Namespace) -> int:
     target = out_folder(options.out or str(folder / "report"))
     write_document(document(results, pictures=not options.no_pictures), target)
     if results.missing:
-        print(f"{results.missing} cells are not run yet; what needs them is left out", file=sys.stderr)
+        missing = f"{results.missing} of {results.cells} cells are not run yet"
+        print(f"{missing}; what needs them is left out", file=sys.stderr)
     print(f"written: {target / 'report.html'}, tables, figures")
     return 0
 

@@ -24,8 +24,19 @@ def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:
         with atomic_write(path, "w") as file:
             json.dump(settings, file, indent=2)
     elif (before := json.loads(path.read_text(encoding="utf-8"))) != settings:
-        changed = sorted(k for k in {**before, **settings} if before.get(k) != settings.get(k))
-        raise InputError(f"{path.parent} holds results of other settings ({', '.join(changed)}); use another --out")
+        changed = "; ".join(_differences(before, settings))
+        raise InputError(f"{path.parent} holds results of other settings ({changed}); use another --out")
+
+
+def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") -> Iterator[str]:
+    """Where settings differ, and how, tables in them by their keys."""
+    for key in sorted({*before, *now}):
+        was, is_now = before.get(key), now.get(key)
+        if isinstance(was, dict) and isinstance(is_now, dict):
+            yield from _differences(was, is_now, f"{within}{key}.")
+        elif was != is_now:
+            told = ("none" if value is None else json.dumps(value) for value in (was, is_now))
+            yield f"{within}{key}: {' there, '.join(told)} here"
 
 
 @contextmanager

@@ -39,6 +39,7 @@ class Claim:
         claim: what the thesis says.
         where: what it was measured on.
         as_claimed: whether the figures are as claimed, chance left aside.
+        sure: whether an interval shows that errors claimed to be equal are; True where nothing equal is claimed.
         found: the figures.
         test: what ``p`` is of, or what decides instead of a test.
         p: two-sided p-value; None where errors are claimed to be equal, which no p-value can show.
@@ -53,11 +54,17 @@ class Claim:
     test: str
     p: float | None
     adjusted: float | None = None
+    sure: bool = True
 
     @property
     def holds(self) -> bool:
         """Whether it holds here: the figures are as claimed, and that is more than chance."""
-        return self.as_claimed and (self.adjusted is None or self.adjusted < _ALPHA)
+        return self.as_claimed and self.sure and (self.adjusted is None or self.adjusted < _ALPHA)
+
+    @property
+    def verdict(self) -> str:
+        """Whether it holds, as a word."""
+        return "holds" if self.holds else "not shown" if self.as_claimed else "does not hold"
 
 
 def claims(results: Results) -> list[Claim]:
@@ -129,11 +136,12 @@ def _levels_off(dataset: DatasetResults, plan: MethodPlan, config: Config) -> It
 def _parametric_against_sdm(dataset: DatasetResults, named: dict[str, str], config: Config) -> Claim:
     """(b) The parametric method is better on AFLW, and as good on LFPW."""
     sdm, parametric = (dataset.errors(named[method], config) for method in ("sdm", "parametric"))
-    thesis_p = f"the thesis's rank-sum p {rank_sum(*both_measured(sdm, parametric)):.1e}"
+    thesis_p = f"the thesis's rank-sum p {rank_sum(*both_measured(sdm, parametric)):.2g}"
     if dataset.thesis == "LFPW":
-        about, found = _about_equal(parametric, sdm, dataset)
+        about, sure, found = _about_equal(parametric, sdm, dataset)
         claim = "the parametric method is as good as SDM"
-        return Claim("b", claim, dataset.name, about, f"mean error of parametric {found}; {thesis_p}", _EQUAL, None)
+        found = f"mean error of parametric {found}; {thesis_p}"
+        return Claim("b", claim, dataset.name, about, found, _EQUAL, None, sure=sure)
     medians = [summarise(errors).median for errors in both_measured(sdm, parametric)]
     return Claim(
         "b",
@@ -178,7 +186,7 @@ def _regression_against_alignment(dataset: DatasetResults, named: dict[str, str]
     if not all(len(each) for each in seconds):
         return
     alignment, regression = (dataset.errors(name, config) for name in pair)
-    about, found = _about_equal(regression, alignment, dataset)
+    about, sure, found = _about_equal(regression, alignment, dataset)
     times = [float(np.median(each)) for each in seconds]
     yield Claim(
         "d",
@@ -189,14 +197,16 @@ def _regression_against_alignment(dataset: DatasetResults, named: dict[str, str]
         f"regression {found}",
         f"signed-rank of times; {_EQUAL}",
         signed_rank(*seconds),
+        sure=sure,
     )
 
 
-def _about_equal(errors: np.ndarray, baseline: np.ndarray, dataset: DatasetResults) -> tuple[bool, str]:
-    """Whether mean errors are sure to differ by little, and by how much they do."""
+def _about_equal(errors: np.ndarray, baseline: np.ndarray, dataset: DatasetResults) -> tuple[bool, bool, str]:
+    """Whether mean errors differ by little, whether they are sure to, and by how much they do."""
     difference, width = relative_difference(errors, baseline, dataset.subjects)
     low, high = difference - width, difference + width
-    return bool(low >= -_ABOUT and high <= _ABOUT), f"{difference:+.1%} ({low:+.1%} to {high:+.1%})"
+    sure = bool(low >= -_ABOUT and high <= _ABOUT)
+    return bool(abs(difference) <= _ABOUT), sure, f"{difference:+.1%} ({low:+.1%} to {high:+.1%})"
 
 
 def _of_pose(pose: PoseResults, config: Config) -> Iterator[Claim]:
@@ -218,7 +228,7 @@ def _better_angle(pose: PoseResults, pair: list[str], angle: str, errors: list[n
     if not fitted.any():
         return
     means = [float(each[fitted].mean()) for each in errors]
-    thesis_p = f"the thesis's rank-sum p {rank_sum(alignment, regression):.1e}"
+    thesis_p = f"the thesis's rank-sum p {rank_sum(alignment, regression):.2g}"
     yield Claim(
         "e",
         f"3D regression finds the better {angle}",

@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxfit.data.datasets import FORMATS
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.descriptors.descriptor import Descriptor
@@ -20,6 +22,7 @@ from jaxfit.training import METHODS, Options, default_descriptor
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
 # Options of training that an experiment sets itself, or does not need: boxes of detectors are not measured.
 _NOT_OPTIONS = {"augmentations", "initialisations", "rotations", "haar", "seed"}
+_OPTIONS = {each.name for each in fields(Options)} - _NOT_OPTIONS
 
 
 @dataclass(frozen=True)
@@ -114,10 +117,17 @@ class Config:
                 f"[chosen]: expected augmentations among {list(self.augmentations)} and steps from 1 to {self.steps} "
                 f"(one window a step); got {self.chosen_augmentations} and {self.chosen_steps}"
             )
-        if any(len(plan.options.windows) != self.steps for plan in self.methods):
-            raise InputError("expected as many windows, one a step, for all methods")
-        if min(*self.augmentations, self.folds - 1, self.repetitions, self.timed_faces) < 1 or self.seed < 0:
-            raise InputError("expected augmentations, repetitions and timed_faces >= 1, folds >= 2 and a seed >= 0")
+        for plan in self.methods:
+            if (count := len(plan.options.windows)) != self.steps:
+                raise InputError(
+                    f"[methods.{plan.name}] windows: expected as many, one a step, for all methods; got {count}, "
+                    f"and {self.steps} for {self.methods[0].name}"
+                )
+        least = {"augmentations": 1, "folds": 2, "repetitions": 1, "timed_faces": 1, "seed": 0}
+        for key, limit in least.items():
+            value = getattr(self, key)
+            if np.min(value) < limit:
+                raise InputError(f"{key}: expected {limit} or more; got {value}")
         if any(count < 1 or count == 2 for count in self.initialisations):
             raise InputError(f"initialisations: expected one, or three or more, each; got {list(self.initialisations)}")
         for key in ("augmentations", "initialisations"):
@@ -190,6 +200,7 @@ def config_from(values: Mapping[str, Any]) -> Config:
     top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
     usual = Options(haar=False, seed=max(0, top.get("seed", Config.seed)))
     training, methods, datasets = (_table(values, key) for key in ("training", "methods", "datasets"))
+    _options("[training]", usual, default_descriptor("sdm", 1), training)  # told as wrong there, not in a method
     plans = tuple(_method(name, {**training, **_table(methods, name, "methods.")}, usual) for name in methods)
     steps = len(plans[0].options.windows) if plans else 0
     return Config(
@@ -213,6 +224,7 @@ def _dataset(name: str, values: Mapping[str, Any]) -> DatasetPlan:
 def _method(name: str, values: Mapping[str, Any], usual: Options) -> MethodPlan:
     where = f"[methods.{name}]"
     values = dict(values)
+    _require_known(where, values, {"method", *_OPTIONS})
     method = values.pop("method", name)
     if method not in METHODS:
         raise InputError(f"{where}: expected method = one of {', '.join(METHODS)}; got {method!r}")
@@ -230,7 +242,7 @@ def _pose(values: Mapping[str, Any]) -> PosePlan:
 
 def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping[str, Any]) -> Options:
     """The usual options, and descriptor, with what a table says about training."""
-    _require_known(where, values, {each.name for each in fields(Options)} - _NOT_OPTIONS)
+    _require_known(where, values, _OPTIONS)
     changed: dict[str, Any] = {}
     for key, value in values.items():
         if key in ("descriptor", "frame"):

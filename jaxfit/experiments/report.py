@@ -12,6 +12,7 @@ from jaxfit.experiments.page import write_document
 from jaxfit.experiments.report_errors import Group, comparison, grid_tables, parameters, starts_tables, times
 from jaxfit.experiments.report_pose import pose_grids, pose_summary
 from jaxfit.experiments.results import DatasetResults, Results, read_results
+from jaxfit.experiments.thesis import THESIS
 
 _GALLERY = 150  # faces of each dataset
 _SHOWN = 6  # faces of each dataset in a figure
@@ -51,6 +52,8 @@ def document(results: Results, pictures: bool = True) -> Document:
         "compared": f"models of {config.chosen_augmentations} augmentations and {config.chosen_steps} steps",
         "errors": f"normalised mean Euclidean distance (Eq. 16), over {NORMALISER_TITLES[config.normaliser]}; "
         "of 3D methods in 3D",
+        "the thesis": THESIS["title"],
+        "its numbers": "; ".join(_beside(dataset) for dataset in results.datasets if dataset.thesis),
         "run with": "; ".join(results.made_with),
     }
     shown = [
@@ -95,6 +98,8 @@ def document(results: Results, pictures: bool = True) -> Document:
         ),
     ]
     sections = [section for section in sections if section.parts]
+    if not sections:
+        sections.append(Section("Nothing to show", ("No cell that a table or figure needs has been run yet.",)))
     if results.problems:
         sections.append(Section("Problems", results.problems))
     return Document("Experiments", {what: told for what, told in about.items() if told}, tuple(sections))
@@ -104,13 +109,19 @@ def _count(dataset: DatasetResults) -> str:
     return f"{dataset.name} {len(dataset.subjects)} of {len(np.unique(dataset.subjects))} subjects"
 
 
+def _beside(dataset: DatasetResults) -> str:
+    known = dataset.thesis or ""
+    faces, points = THESIS["faces"][known], THESIS["points"][known]
+    return f"beside {dataset.name} ({dataset.scheme.count} points) those of {known} ({points} points, {faces} faces)"
+
+
 def _claims(results: Results) -> Section:
     rows = tuple(
         {
             "": claim.letter,
             "claim": claim.claim,
             "on": claim.where,
-            "here": "holds" if claim.holds else "does not hold",
+            "here": claim.verdict,
             "found": claim.found,
             "test": claim.test,
             "p": claim.p,
@@ -118,11 +129,11 @@ def _claims(results: Results) -> Section:
         }
         for claim in claims(results)
     )
-    columns = {"": "", "claim": "", "on": "", "here": "", "found": "", "test": "", "p": ".1e", "p (Holm)": ".1e"}
+    columns = {"": "", "claim": "", "on": "", "here": "", "found": "", "test": "", "p": ".2g", "p (Holm)": ".2g"}
     note = (
         "A claim of a difference holds where the figures are as claimed and Holm's p-value, adjusted for all tests of "
         "the same letter, is below 0.05; one of equality where the 95 % interval of the relative difference of the "
-        "means is narrow enough. Means are over the faces that all fitted. Several pictures of a person are taken "
-        "together."
+        "means is narrow enough. Not shown: the figures are as claimed, but chance or the faces at hand may have made "
+        "them so. Means are over the faces that all fitted. Several pictures of a person are taken together."
     )
     return Section("The thesis's claims", (), (Table("claims", "Claims", columns, rows, note),) if rows else ())

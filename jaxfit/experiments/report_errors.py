@@ -39,10 +39,10 @@ DIFFERENCES = {
     "difference of means": "+.1%",
     "± 95 %": ".1%",
     "difference of medians": "+.1%",
-    "rank-sum p": ".1e",
-    "thesis's rank-sum p": ".1e",
-    "signed-rank p": ".1e",
-    "signed-rank p (Holm)": ".1e",
+    "rank-sum p": ".2g",
+    "thesis's rank-sum p": ".2g",
+    "signed-rank p": ".2g",
+    "signed-rank p (Holm)": ".2g",
 }
 
 

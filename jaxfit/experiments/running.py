@@ -22,8 +22,8 @@ from jaxfit.models.files import load
 
 # What an experiment's folder says that it is.
 SETTINGS = "config.json"
-# What it says of the faces beside the configuration.
-OF_FACES = ("faces", "digests")
+# What it says of the faces beside the configuration: how many, and a digest of their labels and folds.
+OF_FACES = ("faces", "labels")
 # Seconds between looks at what other processes do.
 _PATIENCE = 2.0
 # Training takes some more than describing windows.

@@ -1,4 +1,4 @@
-"""The thesis's own numbers: Tables 3 to 7 and Appendices A to E, to stand beside what is measured."""
+"""The numbers of the thesis that jaxfit implements: Tables 3 to 7 and Appendices A to E, beside what is measured."""
 
 import json
 from importlib.resources import files

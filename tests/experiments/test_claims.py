@@ -117,7 +117,7 @@ def test_too_little_shows_no_equality() -> None:
     noisy = replace(results, datasets=(replace(dataset, grid=grid),))
     (claim,) = of(noisy, "b")
     assert rank_sum(*(grid[name][5, 3] for name in ("sdm", "parametric"))) > 0.05
-    assert not claim.holds
+    assert claim.verdict != "holds"
     assert not any(claim.holds for claim in of(noisy, "d"))
 
 
@@ -167,3 +167,10 @@ def test_claims_go_by_p_values_adjusted_for_all_tests_of_a_letter() -> None:
     claim = replace(found[0], as_claimed=True, p=0.03, adjusted=0.06)
     assert not claim.holds
     assert replace(claim, adjusted=0.04).holds
+    words = [
+        replace(claim, adjusted=0.04),
+        claim,
+        replace(claim, as_claimed=False, adjusted=0.04),
+        replace(claim, adjusted=None, sure=False),
+    ]
+    assert [each.verdict for each in words] == ["holds", "not shown", "does not hold", "not shown"]

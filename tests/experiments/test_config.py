@@ -79,12 +79,13 @@ def test_json_of_it_makes_the_same(text: str) -> None:
     [
         ("folds = 3", "fold = 3", "unknown key 'fold'; expected some of augmentations"),
         ("folds = 3", 'folds = "3"', "folds: expected something like 10; got '3'"),
-        ("folds = 3", "folds = 1", "folds >= 2"),
+        ("folds = 3", "folds = 1", "folds: expected 2 or more; got 1"),
         ("augmentations = 4", "augmentations = 5", r"\[chosen\]: expected augmentations among \[1, 4\]"),
         ("steps = 2", "steps = 3", "steps from 1 to 2"),
-        ("[0.5, 0.3]", "[0.5, -0.3]", r"\[methods.sdm\]: expected at least one step, windows and sigmas > 0"),
-        ("sigmas = 3", "windows = [0.4]", "as many windows, one a step, for all methods"),
+        ("[0.5, 0.3]", "[0.5, -0.3]", r"\[training\]: expected at least one step, windows and sigmas > 0"),
+        ("sigmas = 3", "windows = [0.4]", r"\[methods.narrow\] windows: expected as many, .*; got 1, and 2 for sdm"),
         ("sigmas = 3", "sigma = 3", r"\[methods.narrow\] unknown key 'sigma'"),
+        ('method = "parametric"', 'metod = "parametric"', r"\[methods.narrow\] unknown key 'metod'"),
         ('"parametric"', '"ert"', "expected method = one of sdm, parametric"),
         ("[methods.sdm]", "[methods.'a/b']\nmethod = 'sdm'", "it goes into file names"),
         ("initialisations = [1, 3]", "initialisations = [1, 2]", "one, or three or more, each"),
@@ -136,7 +137,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"torn\.toml: is not TOML"):
         read_config(path)
     path.write_text(TEXT.replace("folds = 3", "folds = 1"))
-    with pytest.raises(InputError, match=r"torn\.toml: expected augmentations"):
+    with pytest.raises(InputError, match=r"torn\.toml: folds: expected 2 or more"):
         read_config(path)
 
 

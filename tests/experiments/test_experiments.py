@@ -243,10 +243,10 @@ def test_other_faces_are_not_mixed_and_pictures_may_move(results: Results, confi
     before, after = (load_arrays(path / "datasets" / "drawn.npz") for path in (folder / "whole", lab.folder))
     assert [Path(image).parent.name for image in after["image"]] == ["elsewhere"] * FACES
     np.testing.assert_array_equal(after["landmarks"], before["landmarks"])
-    assert not document(read_results(lab.folder)).sections  # nothing was run
+    assert [section.title for section in document(read_results(lab.folder)).sections] == ["Nothing to show"]
     relabelled = tuple(replace(face, landmarks=face.landmarks + 1) for face in moved)
     lab.faces["drawn"] = replace(faces, records=relabelled)
-    with pytest.raises(InputError, match=r"of other settings \(digests\)"):
+    with pytest.raises(InputError, match=r"of other settings \(labels.drawn: "):
         keep_settings(lab)
 
 
@@ -292,7 +292,7 @@ def test_pose_is_tested(results: Results, folder: Path, monkeypatch: pytest.Monk
 
 def test_results_of_another_configuration_are_not_mixed(results: Results, folder: Path) -> None:
     other = config_from(tomllib.loads(TEXT.replace("folds = 2", "folds = 3")))
-    with pytest.raises(InputError, match="holds results of other settings \\(digests, folds\\)"):
+    with pytest.raises(InputError, match=r"holds results of other settings \(folds: 2 there, 3 here; labels.drawn: "):
         run(other, folder / "whole")
 
 
