@@ -11,12 +11,13 @@ __version__ = "0.1.0.dev0"
 
 from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
+from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
-from jaxfit.fitting import Fits, crop_faces, fit, warm_up
+from jaxfit.fitting import Fits, fit, warm_up
 from jaxfit.lifting import Lifted, lift_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head

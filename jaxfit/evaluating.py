@@ -16,8 +16,8 @@ from jaxfit.data.images import read_grey
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluation.errors import nmed, normaliser_length
 from jaxfit.evaluation.pose import in_order
-from jaxfit.exceptions import ImageError, InputError
-from jaxfit.fitting import BATCHES, Fits, fit, fit_steps, warm_up
+from jaxfit.exceptions import InputError
+from jaxfit.fitting import Fits, batch_sizes, fit, fit_steps, warm_up
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import convert, sources
 from jaxfit.shapes.schemes import Scheme
@@ -39,7 +39,7 @@ class Evaluation:
         errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
             the errors are not measured on the model's own landmarks.
         problems: for each face without a fit, its number and why.
-        seconds_per_face: cropping and fitting, compiled, without reading files; NaN if nothing was fitted.
+        seconds_per_face: reading, cropping and fitting, compiled; NaN if nothing was fitted.
     """
 
     faces: tuple[FaceRecord, ...]
@@ -145,19 +145,13 @@ def evaluate(
     """
     model.placement(kind)
     check_rotations(initialisations, rotations)
-    of_pictures = partial(fit, model, kind=kind, initialisations=initialisations, rotations=rotations, refine=refine)
+
+    def fitted(images: Sequence[Path], boxes: np.ndarray) -> list[Fits]:
+        ways = {"initialisations": initialisations, "rotations": rotations, "refine": refine}
+        return [fit(model, images, boxes, kind=kind, read=read, progress=progress, **ways)]  # type: ignore[arg-type]
+
     compiled = partial(warm_up, model, initialisations=initialisations, refine=refine)
-    (evaluation,) = _evaluate(
-        model,
-        faces,
-        boxes,
-        scheme or model.scheme,
-        normaliser,
-        compiled,
-        lambda *of: [of_pictures(*of)],
-        progress,
-        read,
-    )
+    (evaluation,) = _evaluate(model, faces, boxes, scheme or model.scheme, normaliser, compiled, fitted, progress)
     return evaluation
 
 
@@ -184,7 +178,8 @@ def evaluate_steps(
         InputError: as `evaluate`.
     """
     compiled = partial(warm_up, model, every_step=True)
-    return _evaluate(model, faces, boxes, model.scheme, normaliser, compiled, partial(fit_steps, model), progress, read)
+    fitted = partial(fit_steps, model, read=read, progress=progress)
+    return _evaluate(model, faces, boxes, model.scheme, normaliser, compiled, fitted, progress)
 
 
 def _evaluate(
@@ -194,49 +189,33 @@ def _evaluate(
     scheme: Scheme,
     normaliser: str,
     compiled: Callable[[Sequence[int]], None],
-    fitted: Callable[[Sequence[np.ndarray], np.ndarray], list[Fits]],
+    fitted: Callable[[Sequence[Path], np.ndarray], list[Fits]],
     progress: Callable[[str, int, int], None],
-    read: Callable[[Path], np.ndarray],
 ) -> list[Evaluation]:
-    """An evaluation for each of the fits that ``fitted`` makes of pictures and their boxes (N, 4)."""
+    """An evaluation for each of the fits that ``fitted`` makes of files of pictures and their boxes (N, 4)."""
     boxes = np.asarray(boxes, np.float64)
     if boxes.shape != (len(faces), 4):
         raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
     sources(model.scheme, scheme)  # a wrong scheme or normaliser stops before the work
     require_scheme(scheme, faces)
     normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
-    if faces:
+    boxed = np.flatnonzero(np.isfinite(boxes).all(1))
+    problems = {number: f"{face.image}: no face box" for number, face in enumerate(faces)}
+    if boxed.size:
         progress("compiling (cached for later runs)", 0, len(faces))
-        compiled([size for size in BATCHES if size <= len(faces)])
-    rows: list[int] = []
-    parts: list[list[Fits]] = []
-    problems: dict[int, str] = {}
-    seconds = 0.0
-    for first in range(0, len(faces), BATCHES[0]):
-        progress("fitting", first, len(faces))
-        batch, pictures = [], []
-        for number in range(first, min(first + BATCHES[0], len(faces))):
-            if not np.isfinite(boxes[number]).all():
-                problems[number] = f"{faces[number].image}: no face box"
-                continue
-            try:
-                pictures.append(read(faces[number].image))
-                batch.append(number)
-            except ImageError as error:
-                problems[number] = str(error)
-        begin = time.perf_counter()
-        parts.append(fitted(pictures, boxes[batch].reshape(-1, 4)))
-        seconds += time.perf_counter() - begin
-        problems |= {batch[i]: f"{faces[batch[i]].image}: {why}" for i, why in parts[-1][-1].problems.items()}
-        rows += batch
-    progress("fitting", len(faces), len(faces))
-    parts = parts or [fitted([], boxes)]
+        compiled([size for size in batch_sizes() if size <= boxed.size])
+    begin = time.perf_counter()
+    fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed])
+    seconds = time.perf_counter() - begin
+    for row, number in enumerate(map(int, boxed)):
+        problems.pop(number)
+        if row in fits[0].problems:
+            problems[number] = fits[0].problems[row]
 
-    def whole(found: Sequence[np.ndarray | None], *shape: int) -> np.ndarray:
-        """What was found in each batch, of all faces; NaN for those that were not fitted."""
-        values = np.full((len(faces), *shape), np.nan)
-        if rows:
-            values[rows] = np.concatenate([part for part in found if part is not None])
+    def whole(found: np.ndarray) -> np.ndarray:
+        """What was found of faces with boxes, of all faces; NaN for the others."""
+        values = np.full((len(faces), *found.shape[1:]), np.nan)
+        values[boxed] = found
         return values
 
     unknown = np.full((scheme.count, 2), np.nan)
@@ -244,13 +223,13 @@ def _evaluate(
     truth = truth.reshape(-1, scheme.count, 2)
     solid_truth = _solid_truth(model, scheme, truth)
     evaluations = []
-    for fits in zip(*parts, strict=True):
-        landmarks = whole([convert(each.landmarks, model.scheme, scheme) for each in fits], scheme.count, 2)
-        pose = errors_3d = None
-        if model.solid is not None:
-            pose = whole([each.pose for each in fits], 3)
-            solid = [convert(each.landmarks_3d, model.scheme, scheme) for each in fits if each.landmarks_3d is not None]
-            errors_3d = nmed(whole(solid, scheme.count, 3), solid_truth, scheme, normaliser)
+    for each in fits:
+        landmarks = whole(convert(each.landmarks, model.scheme, scheme))
+        pose = None if each.pose is None else whole(each.pose)
+        errors_3d = None
+        if each.landmarks_3d is not None:
+            solid = whole(convert(each.landmarks_3d, model.scheme, scheme))
+            errors_3d = nmed(solid, solid_truth, scheme, normaliser)
         evaluations.append(
             Evaluation(
                 faces=tuple(faces),
@@ -259,7 +238,7 @@ def _evaluate(
                 errors=nmed(landmarks, truth, scheme, normaliser),
                 normaliser=normaliser,
                 problems=problems,
-                seconds_per_face=seconds / len(rows) if rows else float("nan"),
+                seconds_per_face=seconds / boxed.size if boxed.size else float("nan"),
                 pose=pose,
                 errors_3d=errors_3d,
             )

@@ -1,22 +1,27 @@
-"""Fitting pictures: boxes to crops, crops through the cascade in fixed-size batches, landmarks back to the pictures."""
+"""Fitting pictures: crops through the cascade in fixed-size batches, landmarks back to the pictures."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotations
-from jaxfit.data.boxes import box_problem
-from jaxfit.data.crops import Crops, cut
-from jaxfit.data.images import to_grey
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.cascade.model import Cascade
+from jaxfit.cropping import CutFace, Images, Read, cut_faces
+from jaxfit.data.crops import to_image
+from jaxfit.data.images import read_image
+from jaxfit.exceptions import InputError
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.camera_asm import CameraASM
 
-# Every number of faces is served by batches of these sizes: three compilations, whatever comes.
+# Every number of faces is served by batches of these sizes: three compilations, whatever comes. Where there are several
+# devices each has a batch of the first size, and shares it out to none of the others.
 BATCHES = (64, 8, 1)
 
 
@@ -50,71 +55,16 @@ class Fits:
         return len(self.landmarks)
 
 
-def crop_faces(
-    model: Model, images: Sequence[np.ndarray] | np.ndarray, boxes: ArrayLike, kind: str | Sequence[str] = SQUARE
-) -> tuple[Crops, dict[int, str]]:
-    """Cut the crops that the model's cascade works on.
-
-    Args:
-        model: whose crops.
-        images: N uint8 pictures of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; the same array may come
-            several times, once for each of its faces.
-        boxes: (N, 4) x, y, width, height of the faces, in pixels.
-        kind: what drew the boxes, one of ``model.placements``; or N of them.
-
-    Returns:
-        The crops; and for each face that cannot be cut (its crop is black) its number and why.
-
-    Raises:
-        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
-    """
-    if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
-        raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
-    boxes = _box_array(boxes, len(images))
-    kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
-    if len(kinds) != len(images):
-        raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
-    placements = [model.placement(kind) for kind in kinds]
-    crops = Crops.empty(len(images), model.cascade.frame)
-    problems: dict[int, str] = {}
-    for number, (image, box) in enumerate(zip(images, boxes, strict=True)):
-        try:
-            grey = to_grey(image)
-        except ImageError as error:
-            problems[number] = str(error)
-            continue
-        if complaint := box_problem(box, grey.shape):
-            problems[number] = complaint
-            continue
-        cut(grey, *placements[number].face_in(box), crops, number)
-    return crops, problems
-
-
-def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:
-    try:
-        array = np.asarray(boxes, np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"expected boxes as an array ({count}, 4) of numbers; got {boxes!r}") from None
-    # No faces, no boxes: an empty list is as good as an empty (0, 4) array.
-    if count == 0 and array.size == 0:
-        return array.reshape(0, 4)
-    if array.shape != (count, 4):
-        raise InputError(
-            f"expected one box (x, y, width, height) for each of {count} images, an array ({count}, 4); "
-            f"got an array {array.shape}"
-        )
-    return array
-
-
 def fit(
     model: Model,
-    images: Sequence[np.ndarray] | np.ndarray,
+    images: Images,
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
+    read: Read = read_image,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
     """Find the landmarks of N faces, and their 3D shapes and poses if the model knows of them.
@@ -123,8 +73,8 @@ def fit(
 
     Args:
         model: from ``jaxfit.load``.
-        images: N uint8 pictures of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; for several faces in one
-            picture give the same array several times.
+        images: N pictures: their files, which are read while others are fitted, or uint8 arrays of any sizes, (H, W)
+            grey, (H, W, 3) RGB or (H, W, 4) RGBA; for several faces in one picture give the same several times.
         boxes: (N, 4) x, y, width, height of the faces, in pixels.
         kind: what drew the boxes: ``"square"`` are squares around the landmarks, give or take; the others that a model
             knows stand in ``model.placements``. One for all, or N of them.
@@ -134,6 +84,7 @@ def fit(
         rotations: lowest and highest rotation of the starts, in degrees, clockwise as seen; a single start is in the
             middle.
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
+        read: makes an array of a file, in threads; `jaxfit.read_image` turns pictures upright as their EXIF data say.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
@@ -142,17 +93,18 @@ def fit(
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
-    fit_batch = partial(_fit_batch, model, turns=turns, refine=refine)
-    (fits,) = _fits(model, images, boxes, kind, 1, fit_batch, progress)
+    (fits,) = _fits(model, cut_faces(model, images, boxes, kind, read), len(images), _Way(turns, refine), progress)
     return fits
 
 
 def fit_steps(
     model: Model,
-    images: Sequence[np.ndarray] | np.ndarray,
+    images: Images,
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
+    read: Read = read_image,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> list[Fits]:
     """The fits after each step of the cascade, from one start a face; the last are those of `fit`.
 
@@ -161,57 +113,96 @@ def fit_steps(
         images: N pictures.
         boxes: (N, 4), in pixels.
         kind: what drew the boxes.
+        read: makes an array of a file.
+        progress: called with the stage's name, faces done and faces in all.
 
     Raises:
         InputError: as `fit`.
     """
-    steps = len(model.cascade.windows)
-    return _fits(model, images, boxes, kind, steps, partial(_fit_batch, model, every_step=True), lambda *_: None)
+    faces = cut_faces(model, images, boxes, kind, read)
+    return _fits(model, faces, len(images), _Way(every_step=True), progress)
+
+
+class _Way(NamedTuple):
+    """How crops are fitted: from these rotations, with refined alignments, and telling the fits after every step."""
+
+    turns: jax.Array | None = None
+    refine: bool = False
+    every_step: bool = False
 
 
 def _fits(
-    model: Model,
-    images: Sequence[np.ndarray] | np.ndarray,
-    boxes: ArrayLike,
-    kind: str | Sequence[str],
-    count: int,
-    fit_batch: Callable[[jax.Array], list[dict[str, np.ndarray]]],
-    progress: Callable[[str, int, int], None],
+    model: Model, faces: Iterator[CutFace], count: int, way: _Way, progress: Callable[[str, int, int], None]
 ) -> list[Fits]:
-    """``count`` fits of each picture, which ``fit_batch`` makes of crops."""
-    crops, problems = crop_faces(model, images, boxes, kind)
-    usable = np.array([number for number in range(len(images)) if number not in problems], int)
-    batches, done = [], 0
-    for size in _batch_sizes(len(usable)):
-        progress("fitting", done, len(usable))
-        batches.append(fit_batch(jnp.asarray(crops.pixels[usable[done : done + size]])))
-        done += size
-    progress("fitting", done, len(usable))
-    if not batches:
-        return [Fits(problems=problems, **_empty(model, len(images)))] * count
-    return [_in_images(model, crops, usable, parts, problems) for parts in zip(*batches, strict=True)]
+    """The fits of ``count`` faces: of the whole cascade, or after each step."""
+    steps = len(model.cascade.windows) if way.every_step else 1
+    fits = [Fits(problems={}, **_empty(model, count)) for _ in range(steps)]
+    problems: dict[int, str] = {}
+    model = _on_all_devices(model)
+
+    def keep(batch: list[CutFace], computed: dict[str, jax.Array]) -> None:
+        """Wait for what is computed, and put it where it belongs."""
+        found = _in_pictures(batch, {name: np.asarray(of) for name, of in computed.items()})
+        for step, each in enumerate(fits):
+            _put(each, batch, {name: of[:, step] for name, of in found.items()} if way.every_step else found)
+
+    computing: tuple[list[CutFace], dict[str, jax.Array]] | None = None
+    for batch in _batches(faces, problems):  # whose crops are cut while the batch before is computed
+        if computing is not None:
+            keep(*computing)
+        progress("fitting", batch[0].number, count)
+        # Only now: on a CPU two computations would take each other's threads.
+        computing = batch, _compute(model, np.stack([face.crop.pixels for face in batch if face.crop]), way)
+    if computing is not None:
+        keep(*computing)
+    progress("fitting", count, count)
+    return [replace(each, problems=dict(sorted((problems | each.problems).items()))) for each in fits]
 
 
-def _in_images(
-    model: Model, crops: Crops, usable: np.ndarray, parts: Sequence[dict[str, np.ndarray]], problems: dict[int, str]
-) -> Fits:
-    """What was found in batches of the ``usable`` crops, in the pixels of the pictures."""
-    problems = dict(problems)
-    found = _empty(model, len(crops.scale))
+def _batches(faces: Iterator[CutFace], problems: dict[int, str]) -> Iterator[list[CutFace]]:
+    """Faces with crops in batches of few sizes; why others have none is put among the problems."""
+    sizes = batch_sizes()
+    batch: list[CutFace] = []
+    for face in faces:
+        if face.crop is None:
+            problems[face.number] = face.problem
+            continue
+        batch.append(face)
+        if len(batch) == sizes[0]:
+            yield batch
+            batch = []
+    for size in sizes[1:]:
+        while len(batch) >= size:
+            yield batch[:size]
+            batch = batch[size:]
+
+
+def _in_pictures(batch: Sequence[CutFace], found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What was found in the crops of a batch, in the pixels of the pictures."""
+    crops = [face.crop for face in batch if face.crop]
+    scale, offset = np.array([crop.scale for crop in crops]), np.stack([crop.offset for crop in crops])
+
+    def points(values: np.ndarray) -> np.ndarray:
+        between = (1,) * (values.ndim - 2)  # steps, if there are any, and landmarks
+        return to_image(values, scale.reshape(-1, *between, 1), offset.reshape(-1, *between, 2))
+
+    found = {name: values.astype(np.float64) for name, values in found.items()}
+    found["landmarks"] = points(found["landmarks"])
+    if "landmarks_3d" in found:
+        depths = found["landmarks_3d"][..., 2:] * scale.reshape(-1, *(1,) * (found["landmarks_3d"].ndim - 1))
+        found["landmarks_3d"] = np.concatenate([points(found["landmarks_3d"][..., :2]), depths], -1)
+        found["scale"] *= scale.reshape(-1, *(1,) * (found["scale"].ndim - 1))
+    return found
+
+
+def _put(fits: Fits, batch: Sequence[CutFace], found: dict[str, np.ndarray]) -> None:
+    """Put what was found in a batch among the fits; of faces that diverged, that they did."""
+    finite = np.all([np.isfinite(values.reshape(len(batch), -1)).all(1) for values in found.values()], 0)
+    numbers = np.array([face.number for face in batch])
     for name, values in found.items():
-        values[usable] = np.concatenate([part[name] for part in parts])
-    for name in ("landmarks", "landmarks_3d"):
-        if name in found:
-            found[name][usable, :, :2] = crops.to_images(found[name][usable, :, :2], usable)
-    if model.solid is not None:
-        found["landmarks_3d"][usable, :, 2] *= crops.scale[usable, None]
-        found["scale"][usable] *= crops.scale[usable]
-    for number in usable:
-        if not all(np.isfinite(values[number]).all() for values in found.values()):
-            problems[int(number)] = "the fit diverged"
-            for values in found.values():
-                values[number] = np.nan
-    return Fits(problems=problems, **found)
+        getattr(fits, name)[numbers[finite]] = values[finite]
+    for row in map(int, np.flatnonzero(~finite)):
+        fits.problems[batch[row].number] = f"{batch[row].source}the fit diverged"
 
 
 def require_refinable(model: Model, refine: bool) -> None:
@@ -233,39 +224,73 @@ def _empty(model: Model, count: int) -> dict[str, np.ndarray]:
     return {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
 
 
-def _fit_batch(
-    model: Model, crops: jax.Array, turns: jax.Array | None = None, refine: bool = False, every_step: bool = False
-) -> list[dict[str, np.ndarray]]:
-    """What is found in crops, by its name in `Fits`, in crop pixels; with ``every_step``, after each step."""
-    if model.solid is None:
-        found = {"landmarks": fit_crops(model.cascade, crops, turns, every_step)}
-    else:
-        found = fit_heads(model.cascade, crops, turns, model.head, refine, every_step)._asdict()
-    arrays = {name: np.asarray(values) for name, values in found.items()}
-    if not every_step:
-        return [arrays]
-    steps = len(model.cascade.windows)
-    return [{name: values[:, step] for name, values in arrays.items()} for step in range(steps)]
+def batch_sizes() -> tuple[int, ...]:
+    """Sizes of batches, large ones first."""
+    several = len(jax.local_devices())
+    return BATCHES if several == 1 else (several * BATCHES[0], *BATCHES)
 
 
-def _batch_sizes(count: int) -> list[int]:
-    """Sizes of the batches that ``count`` faces are fitted in: large ones first, as many as are full."""
-    sizes = []
-    for size in BATCHES:
-        sizes += [size] * (count // size)
-        count %= size
-    return sizes
+def _mesh() -> Mesh:
+    """This process's devices."""
+    devices = jax.local_devices()
+    return jax.make_mesh((len(devices),), ("faces",), (AxisType.Auto,), devices=devices)
+
+
+def _on_all_devices(model: Model) -> Model:
+    """The model with its arrays where they are needed."""
+    if len(jax.local_devices()) == 1:
+        return model
+    cascade, head = jax.device_put((model.cascade, model.head), NamedSharding(_mesh(), PartitionSpec()))
+    return replace(model, cascade=cascade, head=head)
+
+
+def _compute(model: Model, crops: np.ndarray, way: _Way) -> dict[str, jax.Array]:
+    """What is found in crops (N, side, side), by its name in `Fits`, in crop pixels; computed in the background.
+
+    Batches of the largest size are shared out to all devices.
+    """
+    mesh = _mesh() if len(crops) == batch_sizes()[0] and len(batch_sizes()) > len(BATCHES) else None
+    return _found(model.cascade, model.head, jnp.asarray(crops), way.turns, way.refine, way.every_step, mesh)
+
+
+@partial(jax.jit, static_argnames=("refine", "every_step", "mesh"))
+def _found(
+    cascade: Cascade,
+    head: CameraASM | None,
+    crops: jax.Array,
+    turns: jax.Array | None,
+    refine: bool,
+    every_step: bool,
+    mesh: Mesh | None,
+) -> dict[str, jax.Array]:
+    """What is found in crops; by each device of the mesh in its share of them."""
+
+    def of_share(cascade: Cascade, head: CameraASM | None, turns: jax.Array | None, crops: jax.Array) -> dict:
+        if head is None and not isinstance(cascade.space, CameraASM):
+            return {"landmarks": fit_crops(cascade, crops, turns, every_step)}
+        return fit_heads(cascade, crops, turns, head, refine, every_step)._asdict()
+
+    if mesh is not None:
+        everything, faces = PartitionSpec(), PartitionSpec("faces")
+        of_share = jax.shard_map(
+            of_share,
+            mesh=mesh,
+            in_specs=(everything, everything, everything, faces),
+            out_specs=faces,
+            check_vma=False,  # loops begin with constants, which all devices share
+        )
+    return of_share(cascade, head, turns, crops)
 
 
 def warm_up(
     model: Model,
-    batches: Sequence[int] = BATCHES,
+    batches: Sequence[int] | None = None,
     initialisations: int = 1,
     refine: bool = False,
     every_step: bool = False,
 ) -> None:
-    """Compile the model for the batch sizes that ``fit`` uses, or with ``every_step`` `fit_steps`; the first fit is
-    then as fast as the others.
+    """Compile the model for the batch sizes that ``fit`` uses, all unless told, or with ``every_step`` `fit_steps`; the
+    first fit is then as fast as the others.
 
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
@@ -273,5 +298,6 @@ def warm_up(
     require_refinable(model, refine)
     side = model.cascade.frame.crop
     turns = None if every_step else start_rotations(initialisations, ANY_ROTATION)
-    for size in batches:
-        _fit_batch(model, jnp.zeros((size, side, side), jnp.uint8), turns, refine, every_step)
+    model = _on_all_devices(model)
+    for size in batches or batch_sizes():
+        jax.block_until_ready(_compute(model, np.zeros((size, side, side), np.uint8), _Way(turns, refine, every_step)))

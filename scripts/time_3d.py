@@ -20,7 +20,7 @@ from jaxfit.cli.progress import report_problems
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import start_boxes
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.fitting import crop_faces
+from jaxfit.cropping import crop_faces
 
 FACES, REPETITIONS = 64, 32  # the thesis repeats 32 times, too
 COLUMNS = {

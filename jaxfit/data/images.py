@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from jaxfit.exceptions import ImageError, InputError
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 # Taken up from folders all the same, so that read_image says what is wrong with them.
 _UNREADABLE_SUFFIXES = (".heic", ".heif")
+_LEVELS = Lock()
+_levels: list[int] = []
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
@@ -158,12 +161,17 @@ def _pictures_in(folder: Path) -> list[Path]:
 def _quiet() -> Iterator[None]:
     """Failures are reported once, with the file's name; OpenCV would print its own account."""
     log = cv2.utils.logging
-    level = log.getLogLevel()
-    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    with _LEVELS:
+        _levels.append(log.getLogLevel())
+        log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        log.setLogLevel(level)
+        with _LEVELS:  # the last thread to leave finds what was there before the first came
+            level = _levels[0]
+            _levels.pop()
+            if not _levels:
+                log.setLogLevel(level)
 
 
 def _complaint(data: bytes) -> str | None:

@@ -199,6 +199,9 @@ def _error(seen: Landmarks3D, points: Landmarks, weights: Weights) -> Scalar:
     return jnp.sum(weights * jnp.sqrt(jnp.sum((seen[:, :2] - points) ** 2, 1) + 1e-12))
 
 
+# One system after the other also in batches: on a CPU, batches are solved by threads that wait for threads of the same
+# few, and where two computations do so at once neither may ever end.
+@jax.custom_batching.sequential_vmap
 def _solve(normal: Float[Array, "n n"], right: Float[Array, "n *more"]) -> Float[Array, "n *more"]:
     """By normal equations with a trace of damping, for what the view does not show."""
     return jnp.linalg.solve(normal + 1e-7 * jnp.trace(normal) * jnp.eye(len(normal)), right)

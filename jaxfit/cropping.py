@@ -1,0 +1,149 @@
+"""Pictures and face boxes to the crops that a model works on; pictures are read and cut ahead, in threads."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import groupby
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxfit.data.boxes import box_problem
+from jaxfit.data.crops import Crop, Crops, cut_face
+from jaxfit.data.images import read_image, to_grey
+from jaxfit.exceptions import ImageError, InputError
+from jaxfit.models.model import SQUARE, Model
+
+# Pictures that are read before they are asked for, a thread: their crops wait, the pictures do not.
+_AHEAD = 64
+
+Images = Sequence[np.ndarray | str | Path] | np.ndarray
+Read = Callable[[Path], np.ndarray]
+
+
+class CutFace(NamedTuple):
+    """A face's crop, or why there is none.
+
+    Attributes:
+        number: of the face.
+        source: how problems of its picture begin: with the file's name, if it is one.
+        crop: None if it could not be cut.
+        problem: why not; empty if it could.
+    """
+
+    number: int
+    source: str
+    crop: Crop | None
+    problem: str = ""
+
+
+def crop_faces(
+    model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str] = SQUARE, read: Read = read_image
+) -> tuple[Crops, dict[int, str]]:
+    """Cut the crops that the model's cascade works on.
+
+    Args:
+        model: whose crops.
+        images: N pictures: their files, or uint8 arrays of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; the
+            same may come several times, once for each of its faces.
+        boxes: (N, 4) x, y, width, height of the faces, in pixels.
+        kind: what drew the boxes, one of ``model.placements``; or N of them.
+        read: what makes an array of a file, in threads.
+
+    Returns:
+        The crops; and for each face that cannot be cut (its crop is black) its number and why.
+
+    Raises:
+        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
+    """
+    crops = Crops.empty(len(images), model.cascade.frame)
+    problems: dict[int, str] = {}
+    for face in cut_faces(model, images, boxes, kind, read):
+        if face.crop is None:
+            problems[face.number] = face.problem
+        else:
+            crops.pixels[face.number], crops.scale[face.number], crops.offset[face.number] = face.crop
+    return crops, problems
+
+
+def cut_faces(
+    model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str], read: Read
+) -> Iterator[CutFace]:
+    """The crops of `crop_faces` one after the other; few of them exist at a time, of pictures one a thread.
+
+    Raises:
+        InputError: as `crop_faces`, before anything is read.
+    """
+    if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
+        raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
+    if isinstance(images, str | Path):
+        raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
+    boxes = _box_array(boxes, len(images))
+    kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
+    if len(kinds) != len(images):
+        raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
+    placements = [model.placement(kind) for kind in kinds]
+
+    def of_picture(numbers: Sequence[int]) -> list[CutFace]:
+        image = images[numbers[0]]
+        source = f"{image}: " if isinstance(image, str | Path) else ""
+        try:
+            grey = to_grey(read(Path(image)) if isinstance(image, str | Path) else image)
+        except ImageError as error:
+            return [CutFace(number, source, None, str(error)) for number in numbers]
+        found = []
+        for number in numbers:
+            if complaint := box_problem(boxes[number], grey.shape):
+                found.append(CutFace(number, source, None, f"{source}{complaint}"))
+            else:
+                centre, side = placements[number].face_in(boxes[number])
+                found.append(CutFace(number, source, cut_face(grey, centre, side, model.cascade.frame)))
+        return found
+
+    return _in_threads(of_picture, _pictures(images))
+
+
+def _pictures(images: Images) -> Iterator[list[int]]:
+    """The numbers of the faces of each picture, as far as these follow one another."""
+
+    def picture(number: int) -> object:
+        image = images[number]
+        return str(image) if isinstance(image, str | Path) else id(image)
+
+    yield from (list(numbers) for _, numbers in groupby(range(len(images)), picture))
+
+
+def _in_threads(work: Callable[[list[int]], list[CutFace]], parts: Iterator[list[int]]) -> Iterator[CutFace]:
+    """What ``work`` makes of each part, in order, some of it ahead of time."""
+    threads = os.cpu_count() or 1
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque[Future[list[CutFace]]] = deque()
+        try:
+            for part in parts:
+                waiting.append(pool.submit(work, part))
+                if len(waiting) >= _AHEAD * threads:
+                    yield from waiting.popleft().result()
+            while waiting:
+                yield from waiting.popleft().result()
+        finally:
+            for future in waiting:  # of someone who wants no more
+                future.cancel()
+
+
+def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:
+    try:
+        array = np.asarray(boxes, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"expected boxes as an array ({count}, 4) of numbers; got {boxes!r}") from None
+    # No faces, no boxes: an empty list is as good as an empty (0, 4) array.
+    if count == 0 and array.size == 0:
+        return array.reshape(0, 4)
+    if array.shape != (count, 4):
+        raise InputError(
+            f"expected one box (x, y, width, height) for each of {count} images, an array ({count}, 4); "
+            f"got an array {array.shape}"
+        )
+    return array

@@ -1,0 +1,102 @@
+"""Crops are the same whether pictures come as files or arrays, in order, with few pictures in memory at a time."""
+
+import threading
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import jaxfit
+from jaxfit.cropping import cut_faces
+from jaxfit.data.images import read_image, write_image
+from jaxfit.exceptions import InputError
+
+FACES = 300
+
+
+@pytest.fixture(scope="module")
+def model():
+    return jaxfit.load("sdm68")
+
+
+@pytest.fixture(scope="module")
+def pictures() -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    return [rng.integers(0, 256, (40 + k, 60, 3), dtype=np.uint8) for k in range(5)]
+
+
+@pytest.fixture(scope="module")
+def files(pictures, tmp_path_factory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("pictures")
+    paths = [folder / f"{k}.png" for k in range(len(pictures))]
+    for path, picture in zip(paths, pictures, strict=True):
+        write_image(path, picture)
+    return paths
+
+
+def boxes(count: int) -> np.ndarray:
+    return np.array([5.0, 6.0, 30.0, 30.0]) + np.arange(count)[:, None] * [0.02, 0.01, 0, 0]
+
+
+def test_files_and_arrays_make_the_same_crops(model, pictures, files) -> None:
+    numbers = np.arange(FACES) // 7 % len(pictures)
+    made, problems = jaxfit.crop_faces(model, [pictures[k] for k in numbers], boxes(FACES))
+    read, same = jaxfit.crop_faces(model, [files[k] if k % 2 else str(files[k]) for k in numbers], boxes(FACES))
+    assert problems == same == {}
+    for name in ("pixels", "scale", "offset"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
+    assert len(np.unique(made.pixels.reshape(FACES, -1), axis=0)) > FACES / 2
+
+
+def test_files_that_cannot_be_read_do_not_stop_the_others(model, files, tmp_path: Path) -> None:
+    torn = tmp_path / "torn.png"
+    torn.write_bytes(files[0].read_bytes()[:200])
+    fits = jaxfit.fit(model, [files[0], torn, tmp_path / "none.png", files[1]], [[5, 6, 30, 30]] * 3 + [[999, 0, 9, 9]])
+    assert fits.ok.tolist() == [True, False, False, False]
+    for number, path in {1: torn, 2: tmp_path / "none.png", 3: files[1]}.items():
+        assert fits.problems[number].startswith(f"{path}: ")
+
+
+def test_a_picture_is_read_once_for_faces_that_follow_one_another(model, files) -> None:
+    read: list[Path] = []
+    lock = threading.Lock()
+
+    def remembering(path: Path) -> np.ndarray:
+        with lock:
+            read.append(path)
+        return read_image(path)
+
+    images = [files[0]] * 3 + [files[1]] + [files[0]]
+    assert len(list(cut_faces(model, images, boxes(5), "square", remembering))) == 5
+    assert sorted(read) == sorted([files[0], files[1], files[0]])
+
+
+def test_pictures_are_read_only_as_far_ahead_as_is_useful(model, pictures) -> None:
+    begun: list[int] = []
+
+    def slow(path: Path) -> np.ndarray:
+        begun.append(int(path.name))
+        return pictures[0]
+
+    faces = cut_faces(model, [Path(str(k)) for k in range(5000)], boxes(5000), "square", slow)
+    assert next(faces).number == 0
+    faces.close()
+    assert len(begun) < 1000
+
+
+def test_wrong_arguments_are_refused_before_anything_is_read(model) -> None:
+    with pytest.raises(InputError, match="put it in a list"):
+        jaxfit.crop_faces(model, "photo.jpg", [[0, 0, 9, 9]])
+    with pytest.raises(InputError, match="one box"):
+        cut_faces(model, ["none.jpg", "none.jpg"], [[0, 0, 9, 9]], "square", read_image)
+
+
+def test_reading_in_threads_leaves_opencvs_log_as_it_was(files) -> None:
+    before = cv2.utils.logging.getLogLevel()
+    threads = [threading.Thread(target=lambda: [read_image(files[0]) for _ in range(50)]) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert cv2.utils.logging.getLogLevel() == before
