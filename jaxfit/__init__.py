@@ -17,6 +17,7 @@ from jaxfit.data.detection import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
+from jaxfit.exporting import Exported, export_model, load_exported
 from jaxfit.fitting import Fits, fit, warm_up
 from jaxfit.lifting import Lifted, lift_labels
 from jaxfit.models.files import bundled, load, save
@@ -26,6 +27,7 @@ from jaxfit.training import Options, Trained, train
 
 __all__ = [
     "DatasetError",
+    "Exported",
     "Fits",
     "HeadModel",
     "Heads",
@@ -44,12 +46,14 @@ __all__ = [
     "crop_faces",
     "detect_faces",
     "evaluate",
+    "export_model",
     "fit",
     "fit_crops",
     "fit_face",
     "fit_heads",
     "lift_labels",
     "load",
+    "load_exported",
     "load_head",
     "read_dataset",
     "read_image",

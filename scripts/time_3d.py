@@ -17,10 +17,10 @@ from jaxfit.cascade.fit import fit_crops, fit_heads
 from jaxfit.cli.arguments import add_datasets, read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import report_problems
+from jaxfit.cropping import crop_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import start_boxes
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.cropping import crop_faces
 
 FACES, REPETITIONS = 64, 32  # the thesis repeats 32 times, too
 COLUMNS = {

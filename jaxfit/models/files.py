@@ -24,7 +24,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.shapes import SPACES
 from jaxfit.shapes.camera_asm import CameraASM
-from jaxfit.shapes.schemes import scheme_named
+from jaxfit.shapes.schemes import Scheme, scheme_named
 
 FORMAT = 1
 SUFFIX = ".safetensors"
@@ -56,14 +56,6 @@ def save(model: Model, path: str | Path) -> None:
     path = Path(path)
     check_target(path)
     cascade = model.cascade
-    tensors: dict[str, np.ndarray] = {
-        "weights": _half(cascade.weights),
-        "biases": np.asarray(cascade.biases, np.float32),
-        "windows": np.asarray(cascade.windows, np.float32),
-        **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
-        **_arrays("space", cascade.space),
-        **({} if model.head is None else _arrays("head", model.head)),
-    }
     header = {
         "format": FORMAT,
         "space": _name_of(SPACES, cascade.space),
@@ -71,14 +63,10 @@ def save(model: Model, path: str | Path) -> None:
             "kind": _name_of(DESCRIPTORS, cascade.descriptor),
             **vars(cascade.descriptor),
         },
-        "frame": dataclasses.asdict(cascade.frame),
-        "scheme": model.scheme.name,
-        "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
+        **usage_of(model),
         "training": model.training,
     }
-    if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
-        raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
-    write_tensors(path, tensors, _KEY, header)
+    write_tensors(path, tensors_of(model), _KEY, header)
 
 
 def bundled() -> list[str]:
@@ -99,6 +87,41 @@ def load(name: str | Path) -> Model:
         raise ModelError(f"{name}: {error}") from None
     except DAMAGE as error:
         raise ModelError(f"{name}: not a jaxfit model, or damaged ({error}); copy or train it again") from None
+
+
+def tensors_of(model: Model) -> dict[str, np.ndarray]:
+    """The arrays of a model by name, as files hold them: the weights as float16, all others as float32.
+
+    Raises:
+        InputError: one is not finite, or a weight is too large for float16.
+    """
+    cascade = model.cascade
+    tensors: dict[str, np.ndarray] = {
+        "weights": _half(cascade.weights),
+        "biases": np.asarray(cascade.biases, np.float32),
+        "windows": np.asarray(cascade.windows, np.float32),
+        **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
+        **_arrays("space", cascade.space),
+        **({} if model.head is None else _arrays("head", model.head)),
+    }
+    if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
+        raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
+    return tensors
+
+
+def usage_of(model: Model) -> dict[str, Any]:
+    """What a header says of how a model is used: its crops, its landmarks, how faces lie in boxes; JSON values."""
+    return {
+        "frame": dataclasses.asdict(model.cascade.frame),
+        "scheme": model.scheme.name,
+        "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
+    }
+
+
+def read_usage(header: dict[str, Any]) -> tuple[Frame, Scheme, dict[str, Placement]]:
+    """What `usage_of` says. Damaged headers may raise any of ``DAMAGE``."""
+    placements = {kind: _placement(place) for kind, place in header["placements"].items()}
+    return Frame(**header["frame"]), scheme_named(header["scheme"]), placements
 
 
 def check_target(path: Path) -> None:
@@ -145,8 +168,10 @@ def read_named(name: str | Path, folder: str, kind: str) -> bytes:
         ) from None
 
 
-def read_header(data: bytes, key: str, version: int, kind: str) -> dict[str, Any]:
-    """The header under ``key`` of a file's bytes, if its format is ``version``; ``kind`` is for the message.
+def read_header(data: bytes, key: str, version: int, kind: str, made: str = "train") -> dict[str, Any]:
+    """The header under ``key`` of a file's bytes, if its format is ``version``.
+
+    ``kind`` is for the message, and so is ``made``: what to do again to have a new one.
 
     Raises:
         ModelError: there is no such header, or it has another version. Damaged bytes may raise any of ``DAMAGE``.
@@ -159,7 +184,7 @@ def read_header(data: bytes, key: str, version: int, kind: str) -> dict[str, Any
     if header["format"] != version:
         raise ModelError(
             f"{kind} format {header['format']}, but this release reads format {version}; "
-            "use the release it was made with, or train it again"
+            f"use the release it was made with, or {made} it again"
         )
     return header
 
@@ -167,18 +192,18 @@ def read_header(data: bytes, key: str, version: int, kind: str) -> dict[str, Any
 def _parse(data: bytes) -> Model:
     header = read_header(data, _KEY, FORMAT, "model")
     tensors = parse_tensors(data)
-    cascade = _cascade(header, tensors)
+    frame, scheme, placements = read_usage(header)
     return Model(
-        cascade=cascade,
-        scheme=scheme_named(header["scheme"]),
-        placements={kind: _placement(place) for kind, place in header["placements"].items()},
-        head=_head(header, tensors),
+        cascade=_cascade(header, tensors, frame, scheme.count),
+        scheme=scheme,
+        placements=placements,
+        head=_head(tensors, scheme.count),
         training=header["training"],
     )
 
 
-def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
-    count = scheme_named(header["scheme"]).count
+def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Frame, count: int) -> Cascade:
+    """The cascade, of ``count`` landmarks."""
     kind = SPACES[header["space"]]
     space = _assembled("space", kind, tensors, {"landmarks": count, "dimensions": 3 if kind is CameraASM else 2})
     options = dict(header["descriptor"])
@@ -206,16 +231,15 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> Cascade:
         biases=jnp.asarray(tensors["biases"], jnp.float32),
         windows=jnp.asarray(tensors["windows"], jnp.float32),
         descriptor=descriptor,
-        frame=Frame(**header["frame"]),
+        frame=frame,
         directions=jnp.asarray(tensors["directions"], jnp.float32) if "directions" in tensors else None,
     )
 
 
-def _head(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> CameraASM | None:
-    """What a model of 3D alignment aligns."""
+def _head(tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
+    """What a model of 3D alignment aligns, of ``count`` landmarks."""
     if not any(name.startswith("head.") for name in tensors):
         return None
-    count = scheme_named(header["scheme"]).count
     return _assembled("head", CameraASM, tensors, {"landmarks": count, "dimensions": 3})
 
 

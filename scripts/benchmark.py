@@ -1,0 +1,383 @@
+"""Measure models and a rival, dlib's shape predictor, on the same faces and boxes in one run.
+
+Speed on some numbers of cores, latency of one face, time to compile, memory, sizes, errors; then where the time goes,
+stage by stage, beside what the machine can do. Whatever is timed is timed in a process of its own.
+"""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from benchmark_dlib import FINE, cut_crops, dlib, load_rival, rectangles, rival_fits, train_rival
+
+import jaxfit
+from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
+from jaxfit.cli.main import exit_code
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.images import read_grey
+from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.data.records import FaceRecord
+from jaxfit.evaluating import start_boxes
+from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS, nmed
+from jaxfit.evaluation.plots import new_figure
+from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, markdown_table, summary_row
+from jaxfit.exceptions import InputError
+from jaxfit.models.model import Model
+from jaxfit.shapes.schemes import Scheme
+
+HERE = Path(__file__).resolve().parent
+RIVAL = "dlib"
+STAGES_AT_ONCE = 256  # faces, at most
+SPEED_COLUMNS = {
+    "method": "",
+    "processes": "d",
+    "cores": "d",
+    "faces/s": ".0f",
+    "at batch": "d",
+    "latency ms": ".2f",
+    "load s": ".2f",
+    "compile s": ".1f",
+    "peak MiB": ".0f",
+    "model MB": ".1f",
+}
+CSV_COLUMNS = [*(name for name in SPEED_COLUMNS if name != "at batch"), "batch"]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("models", nargs="+", metavar="MODEL", help="model files or names of bundled models")
+    add_datasets(parser)
+    parser.add_argument("--normaliser", choices=NORMALISERS, default="outer")
+    parser.add_argument("--dlib-model", metavar="FILE", help="dlib's shape predictor; trained if there is no such file")
+    parser.add_argument("--dlib-train", nargs="+", metavar="SPEC", help="datasets to train it on, not those of --data")
+    parser.add_argument("--batches", type=int, nargs="+", default=[1, 8, 64, 128, 256, 512, 1024], metavar="FACES")
+    parser.add_argument("--cores", type=int, nargs="+", default=[1, 2], help="numbers of cores to measure on")
+    parser.add_argument("--repetitions", type=int, default=9, help="of each measurement; the median counts")
+    parser.add_argument("--seed", type=int, default=0, help="of the boxes")
+    parser.add_argument("--out", required=True, metavar="DIR", help="where benchmark.md, benchmark.csv and plots go")
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    require_measurable(arguments)
+    load_before = os.getloadavg()[0]
+    folder = out_folder(arguments.out)
+    figure = new_figure(7.0, 4.5)  # without matplotlib it stops here, before the work
+    models = {Path(name).stem: jaxfit.load(name) for name in arguments.models}
+    if len(models) < len(arguments.models) or RIVAL in models:
+        raise InputError(f"expected models of different names, none {RIVAL}; got {' '.join(arguments.models)}")
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    scheme = shared_scheme(datasets)
+    # Named by folder, so that the tables do not depend on where the data lie.
+    folders = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
+    if len(set(folders)) < len(folders):
+        raise InputError(f"expected datasets in folders of different names; got {' '.join(folders)}")
+    names = [name for name, each in zip(folders, datasets, strict=True) for face in each.faces if face.complete]
+    faces = [face for dataset in datasets for face in dataset.faces if face.complete]
+    boxes = start_boxes(faces, arguments.seed)
+    first = next(iter(models.values()))
+    predictor, missing = rival(arguments, first, scheme, faces)
+
+    errors = {}
+    problems: list[str] = []
+    with Bars() as bars:
+        for name, model in models.items():
+            result = jaxfit.evaluate(model, faces, boxes, scheme=scheme, normaliser=arguments.normaliser, progress=bars)
+            errors[name] = result.errors
+            problems += [f"{name}: {problem}" for problem in result.problems.values()]
+    if predictor:
+        truth = np.stack([face.landmarks for face in faces])
+        errors[RIVAL] = nmed(rival_fits(predictor, first, faces, boxes), truth, scheme, arguments.normaliser)
+    report_problems(problems)
+
+    with tempfile.TemporaryDirectory() as scratch:
+        files = {name: Path(scratch) / f"{name}.safetensors" for name in models}
+        for name, model in models.items():
+            jaxfit.save(model, files[name])
+        given = {name: save_faces(model, faces, boxes, files[name]) for name, model in models.items()}
+        common = {"batches": arguments.batches, "repetitions": arguments.repetitions}
+        rows: list[dict[str, Any]] = []
+        stages = []
+        for cores in arguments.cores:
+            for name, path in files.items():
+                job = {"measure": "jaxfit", "model": str(path), "faces": str(given[name]), **common}
+                rows.append(speed(name, job, [cores], path))
+            if predictor:
+                path = Path(arguments.dlib_model)
+                job = {"measure": "dlib", "model": str(path), "faces": str(given[next(iter(models))]), **common}
+                rows.append(speed(RIVAL, job, [1] * cores, path))
+            stages.append(stage_table(list(files.values()), cores, arguments))
+
+    write_csv(folder / "benchmark.csv", CSV_COLUMNS, csv_rows(rows))
+    plot_speeds(figure, rows)
+    with atomic_write(folder / "throughput.png") as file:
+        figure.savefig(file, format="png", dpi=150)
+    text = "\n\n".join(
+        [
+            f"{made_with()} 1-minute load average when it began: {load_before:.2f}. "
+            f"Warm; medians of {arguments.repetitions}.",
+            *speed_tables(rows, missing, first),
+            *error_tables(errors, names, faces, arguments.normaliser),
+            *stages,
+        ]
+    )
+    with atomic_write(folder / "benchmark.md", "w") as file:
+        file.write(text + "\n")
+    print(text)
+    return 0
+
+
+def require_measurable(arguments: argparse.Namespace) -> None:
+    if min(*arguments.batches, *arguments.cores, arguments.repetitions) < 1:
+        raise InputError("expected --batches, --cores and --repetitions of 1 or more; got a smaller one")
+    if not hasattr(os, "sched_setaffinity"):
+        raise InputError("processes can be kept to some of the cores on Linux alone; run it there")
+    here = len(os.sched_getaffinity(0))
+    if max(arguments.cores) > here:
+        raise InputError(f"--cores: expected at most {here}, which is all there are; got {max(arguments.cores)}")
+    if arguments.dlib_train and not arguments.dlib_model:
+        raise InputError("--dlib-train: expected --dlib-model, too: the file that the trained predictor goes to")
+
+
+def rival(arguments: argparse.Namespace, model: Model, scheme: Scheme, faces: Sequence[FaceRecord]) -> tuple[Any, str]:
+    """dlib's shape predictor, trained if need be on other pictures than those of ``faces``; or None, and why."""
+    if not arguments.dlib_model:
+        return None, "no --dlib-model"
+    if dlib is None:
+        print('dlib is left out, as it is not installed: pip install "jaxfit[bench]"', file=sys.stderr)
+        return None, "not installed"
+    path = Path(arguments.dlib_model)
+    if not path.exists():
+        if not (arguments.dlib_train and path.parent.is_dir()):
+            raise InputError(
+                f"--dlib-model: there is no {path}; expected a file, or --dlib-train and a name in a folder that exists"
+            )
+        datasets = read_datasets(arguments.dlib_train, arguments.scheme)
+        if (other := shared_scheme(datasets)) != scheme:
+            raise InputError(f"--dlib-train: expected labels of {scheme.name} as those of --data; got {other.name}")
+        tested = {face.image.name for face in faces}
+        complete = [face for dataset in datasets for face in dataset.faces if face.complete]
+        others = [face for face in complete if face.image.name not in tested]
+        print(
+            f"dlib's training: {len(others)} of {len(complete)} faces; --data has the others' pictures", file=sys.stderr
+        )
+        train_rival(path, model, others, scheme)
+    return load_rival(path, scheme), ""
+
+
+def save_faces(model: Model, faces: Sequence[FaceRecord], boxes: np.ndarray, path: Path) -> Path:
+    """Write what a process needs to measure: crops, rectangles in them, and one picture with its box and rectangle."""
+    crops, numbers = cut_crops(model, model.cascade.frame, faces, boxes)
+    if not numbers.size:
+        raise InputError("--data: expected faces with pictures and all their landmarks; got none")
+    box = boxes[numbers[0]]
+    rectangle = np.rint([*box[:2], *(box[:2] + box[2:])]).astype(int)
+    picture = read_grey(faces[numbers[0]].image)
+    sides = rectangles(crops, boxes[numbers])
+    path = path.with_suffix(".npz")
+    np.savez(path, crops=crops.pixels, rectangles=sides, picture=picture, box=box, rectangle=rectangle)
+    return path
+
+
+def speed(name: str, job: dict[str, Any], cores: list[int], model: Path) -> dict[str, Any]:
+    """What processes that work at once, each on so many ``cores`` of its own, do together."""
+    print(f"{name}: cores of each process: {' '.join(map(str, cores))} …", file=sys.stderr, flush=True)
+    found = measure(job, cores)
+    each = zip(*(one["speeds"] for one in found), strict=True)
+    speeds = [
+        {
+            "batch": of_batch[0]["batch"],
+            "faces/s": sum(one["faces/s"] for one in of_batch),
+            "peak MiB": sum(one["peak MiB"] for one in of_batch),
+        }
+        for of_batch in each
+    ]
+    best = max(speeds, key=lambda each: each["faces/s"])
+    return {
+        "method": name,
+        "processes": len(cores),
+        "cores": sum(cores),
+        "faces/s": best["faces/s"],
+        "at batch": best["batch"],
+        "latency ms": float(np.mean([one["latency ms"] for one in found])),
+        "load s": max(one["load s"] for one in found),
+        "compile s": found[0].get("compile s"),
+        "peak MiB": sum(one["peak MiB"] for one in found),
+        "model MB": model.stat().st_size / 1e6,
+        "speeds": speeds,
+    }
+
+
+def measure(job: dict[str, Any], cores: list[int]) -> list[dict[str, Any]]:
+    """What processes find that do a job at once, each on so many ``cores`` of its own."""
+    free = sorted(os.sched_getaffinity(0))
+    command = [sys.executable, str(HERE / "benchmark_worker.py"), json.dumps(job)]
+    with ExitStack() as stack:
+        workers = []
+        for count in cores:
+            with kept_to(free[:count]):
+                worker = subprocess.Popen(
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment()
+                )
+            workers.append(stack.enter_context(worker))
+            stack.callback(worker.kill)  # if another one fails
+            free = free[count:]
+        for worker in workers:
+            if worker.stdout.readline() != "ready\n":
+                raise SystemExit(f"failed: {' '.join(command)}")
+        for worker in workers:
+            worker.stdin.write("\n")
+            worker.stdin.flush()
+        found = [worker.communicate()[0] for worker in workers]
+        if any(worker.returncode for worker in workers):
+            raise SystemExit(f"failed: {' '.join(command)}")
+    return [json.loads(text) for text in found]
+
+
+@contextmanager
+def kept_to(cores: Sequence[int]) -> Iterator[None]:
+    """Processes that are started meanwhile have these cores from their beginning."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def environment() -> dict[str, str]:
+    """Variables of processes that are to compile whatever they run."""
+    return {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+
+
+def stage_table(models: list[Path], cores: int, arguments: argparse.Namespace) -> str:
+    print(f"stages: {cores} core{'s' if cores > 1 else ''} …", file=sys.stderr, flush=True)
+    command = [sys.executable, str(HERE / "benchmark_stages.py"), *map(str, models)]
+    command += ["--batch", str(min(max(arguments.batches), STAGES_AT_ONCE))]
+    command += ["--repetitions", str(arguments.repetitions)]
+    with kept_to(sorted(os.sched_getaffinity(0))[:cores]):
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"failed: {' '.join(command)}")
+    return done.stdout.strip()
+
+
+def csv_rows(rows: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
+    """A row for each batch; what does not depend on it is repeated."""
+    for row in rows:
+        for of_batch in row["speeds"]:
+            values = row | of_batch
+            yield ["" if values[name] is None else values[name] for name in CSV_COLUMNS]
+
+
+def plot_speeds(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
+    """Throughput against batch size; methods that know no batches are level, dashed lines."""
+    ax = figure.subplots()
+    for row in rows:
+        label = f"{row['method']}, {workplace(row)}"
+        batches = [each["batch"] for each in row["speeds"]]
+        rates = [each["faces/s"] for each in row["speeds"]]
+        if batches == [None]:
+            ax.axhline(rates[0], linestyle="--", color="0.2" if row["cores"] > 1 else "0.6", label=label)
+        else:
+            ax.plot(batches, rates, marker="o", label=label)
+            ax.set_xscale("log", base=2)
+            ax.set_xticks(batches, list(map(str, batches)))
+    ax.set_ylim(bottom=0)
+    ax.set(xlabel="faces at once", ylabel="faces/s")
+    ax.grid(alpha=0.3)
+    ax.legend()
+
+
+def workplace(row: dict[str, Any]) -> str:
+    """Where a row was measured."""
+    if row["processes"] > 1:
+        return f"{row['processes']} processes"
+    return f"{row['cores']} core{'s' if row['cores'] > 1 else ''}"
+
+
+def speed_tables(rows: Sequence[dict[str, Any]], missing: str, model: Model) -> list[str]:
+    frame = model.cascade.frame
+    left_out = [{"method": f"{RIVAL}: {missing}"}] if missing else []
+    by_batch: dict[int, dict[str, Any]] = {}
+    for row in rows:
+        for each in row["speeds"]:
+            if each["batch"] is not None:
+                at_batch = by_batch.setdefault(each["batch"], {"batch": each["batch"]})
+                at_batch[f"{row['method']}, {workplace(row)}"] = each["faces/s"]
+    columns = dict.fromkeys((name for at_batch in by_batch.values() for name in at_batch), ".0f")
+    return [
+        "faces/s: from uint8 grey crops to landmarks in their pixels (`jaxfit.fit_crops`), at the best batch. Latency: "
+        "one face of a picture that has been read (`jaxfit.fit`). Compile: `jaxfit.warm_up` in a fresh process, with "
+        "nothing kept from earlier ones; peak memory is that of a process that does this and fits single faces. "
+        f"dlib gets the same faces one by one: the {frame.crop} × {frame.crop} crops of the first model with the box, "
+        "in whole pixels, that the crop was cut for; its points are not read into arrays. Its binding keeps to one "
+        "core, so that more cores have a process each, which work at once: rates and memory are their sums.",
+        markdown_table([*rows, *left_out], SPEED_COLUMNS),
+        "faces/s by batch:",
+        markdown_table(list(by_batch.values()), columns),
+    ]
+
+
+def error_tables(
+    errors: dict[str, np.ndarray], names: list[str], faces: Sequence[FaceRecord], normaliser: str
+) -> list[str]:
+    """Each method's errors, and how those of ours differ from the rival's."""
+    of_faces = np.array(names)
+    groups = {name: of_faces == name for name in dict.fromkeys(names)}
+    if len(groups) > 1:
+        groups["all"] = np.ones(len(names), bool)
+    subjects = np.array([f"{name}/{face.subject}" for name, face in zip(names, faces, strict=True)])
+    tables = [
+        f"NMED over {NORMALISER_TITLES[normaliser]}, on the same faces and boxes. Faces without a fit count in the "
+        f"median, the AUC and the failures. dlib finds whole pixels, here those of crops of {FINE.crop} × {FINE.crop}.",
+        markdown_table(
+            [
+                {"dataset": name, "method": method, **summary_row(found[group], subjects[group])}
+                for name, group in groups.items()
+                for method, found in errors.items()
+            ],
+            {"dataset": "", "method": "", **SUMMARY_COLUMNS},
+        ),
+    ]
+    if RIVAL in errors:
+        rows = [
+            {"dataset": name, "method": method, **comparison_row(found[group], errors[RIVAL][group], subjects[group])}
+            for name, group in groups.items()
+            for method, found in errors.items()
+            if method != RIVAL
+        ]
+        columns = {"dataset": "", "method": "", **COMPARISON_COLUMNS}
+        tables.append(f"Compared with {RIVAL}; below zero is better:\n\n{markdown_table(rows, columns)}")
+    return tables
+
+
+def made_with() -> str:
+    """Versions and the machine."""
+    rivals = "" if dlib is None else f", dlib {dlib.__version__}"
+    return (
+        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, numpy {np.__version__}{rivals}, Python "
+        f"{platform.python_version()}; {platform.system()}, {platform.machine()}, {processor()}, "
+        f"{len(os.sched_getaffinity(0))} cores, {jax.devices()[0].device_kind}."
+    )
+
+
+def processor() -> str:
+    """The processor's name."""
+    with open("/proc/cpuinfo", encoding="utf-8") as file:
+        names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
+    return names[0] if names else platform.processor() or "processor unknown"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
