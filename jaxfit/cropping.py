@@ -2,9 +2,9 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import groupby
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,8 +17,10 @@ from jaxfit.data.images import read_image, to_grey
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.models.model import SQUARE, Model
 
-# Pictures that are read before they are asked for, a thread: their crops wait, the pictures do not.
-_AHEAD = 64
+# Pictures that are read and cut before they are asked for: their crops wait, the pictures do not.
+_AHEAD = 128
+_MOST_THREADS = 8  # each holds a picture
+_TOGETHER = 64  # faces of a picture that are cut while it is held
 
 Images = Sequence[np.ndarray | str | Path] | np.ndarray
 Read = Callable[[Path], np.ndarray]
@@ -51,7 +53,8 @@ def crop_faces(
             same may come several times, once for each of its faces.
         boxes: (N, 4) x, y, width, height of the faces, in pixels.
         kind: what drew the boxes, one of ``model.placements``; or N of them.
-        read: what makes an array of a file, in threads.
+        read: what makes an array of a file, in threads; if it raises `jaxfit.ImageError` or an `OSError`, this picture
+            alone has a problem.
 
     Returns:
         The crops; and for each face that cannot be cut (its crop is black) its number and why.
@@ -61,18 +64,19 @@ def crop_faces(
     """
     crops = Crops.empty(len(images), model.cascade.frame)
     problems: dict[int, str] = {}
-    for face in cut_faces(model, images, boxes, kind, read):
-        if face.crop is None:
-            problems[face.number] = face.problem
-        else:
-            crops.pixels[face.number], crops.scale[face.number], crops.offset[face.number] = face.crop
+    with closing(cut_faces(model, images, boxes, kind, read)) as faces:
+        for face in faces:
+            if face.crop is None:
+                problems[face.number] = face.problem
+            else:
+                crops.pixels[face.number], crops.scale[face.number], crops.offset[face.number] = face.crop
     return crops, problems
 
 
 def cut_faces(
     model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str], read: Read
-) -> Iterator[CutFace]:
-    """The crops of `crop_faces` one after the other; few of them exist at a time, of pictures one a thread.
+) -> Generator[CutFace, None, None]:
+    """The crops of `crop_faces` one after the other; some pictures' exist at a time, of pictures one a thread.
 
     Raises:
         InputError: as `crop_faces`, before anything is read.
@@ -81,19 +85,21 @@ def cut_faces(
         raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
     if isinstance(images, str | Path):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
+    images = list(images) if isinstance(images, np.ndarray) else images
     boxes = _box_array(boxes, len(images))
     kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
     if len(kinds) != len(images):
         raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
     placements = [model.placement(kind) for kind in kinds]
 
-    def of_picture(numbers: Sequence[int]) -> list[CutFace]:
-        image = images[numbers[0]]
+    def of_picture(picture: _Picture) -> list[CutFace]:
+        image, numbers = picture
         source = f"{image}: " if isinstance(image, str | Path) else ""
         try:
-            grey = to_grey(read(Path(image)) if isinstance(image, str | Path) else image)
-        except ImageError as error:
-            return [CutFace(number, source, None, str(error)) for number in numbers]
+            grey = _grey(image, read)
+        except (ImageError, OSError) as error:
+            why = str(error) if str(image) in str(error) else f"{source}{error}"
+            return [CutFace(number, source, None, why) for number in numbers]
         found = []
         for number in numbers:
             if complaint := box_problem(boxes[number], grey.shape):
@@ -106,31 +112,57 @@ def cut_faces(
     return _in_threads(of_picture, _pictures(images))
 
 
-def _pictures(images: Images) -> Iterator[list[int]]:
-    """The numbers of the faces of each picture, as far as these follow one another."""
+class _Picture(NamedTuple):
+    """A picture and the numbers of its faces."""
 
-    def picture(number: int) -> object:
+    image: np.ndarray | str | Path
+    numbers: list[int]
+
+
+def _grey(image: np.ndarray | str | Path, read: Read) -> np.ndarray:
+    return to_grey(read(Path(image)) if isinstance(image, str | Path) else image)
+
+
+def _pictures(images: Images) -> Iterator[_Picture]:
+    """The pictures one after the other, each with those of its faces that follow one another, some at a time."""
+    picture: _Picture | None = None
+    for number in range(len(images)):
         image = images[number]
-        return str(image) if isinstance(image, str | Path) else id(image)
+        same = picture is not None and len(picture.numbers) < _TOGETHER and _same(picture.image, image)
+        if picture is not None and same:
+            picture.numbers.append(number)
+            continue
+        if picture is not None:
+            yield picture
+        picture = _Picture(image, [number])
+    if picture is not None:
+        yield picture
 
-    yield from (list(numbers) for _, numbers in groupby(range(len(images)), picture))
+
+def _same(one: np.ndarray | str | Path, other: np.ndarray | str | Path) -> bool:
+    return one is other or (isinstance(one, str | Path) and isinstance(other, str | Path) and str(one) == str(other))
 
 
-def _in_threads(work: Callable[[list[int]], list[CutFace]], parts: Iterator[list[int]]) -> Iterator[CutFace]:
-    """What ``work`` makes of each part, in order, some of it ahead of time."""
-    threads = os.cpu_count() or 1
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque[Future[list[CutFace]]] = deque()
-        try:
-            for part in parts:
-                waiting.append(pool.submit(work, part))
-                if len(waiting) >= _AHEAD * threads:
-                    yield from waiting.popleft().result()
-            while waiting:
+def _in_threads(
+    work: Callable[[_Picture], list[CutFace]], pictures: Iterator[_Picture]
+) -> Generator[CutFace, None, None]:
+    """What ``work`` makes of each picture, in order, some of it ahead of time."""
+    pool = ThreadPoolExecutor(min(_MOST_THREADS, _cores()))
+    waiting: deque[Future[list[CutFace]]] = deque()
+    try:
+        for picture in pictures:
+            waiting.append(pool.submit(work, picture))
+            if len(waiting) >= _AHEAD:
                 yield from waiting.popleft().result()
-        finally:
-            for future in waiting:  # of someone who wants no more
-                future.cancel()
+        while waiting:
+            yield from waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)  # someone may want no more
+
+
+def _cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:

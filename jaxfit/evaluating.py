@@ -137,7 +137,7 @@ def evaluate(
         rotations: lowest and highest rotation of the starts, in degrees.
         refine: as in ``jaxfit.fit``.
         progress: called with the stage's name, faces done and faces in all.
-        read: gets a picture's path and returns it grey, uint8 (H, W).
+        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads.
 
     Raises:
         InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
@@ -172,7 +172,7 @@ def evaluate_steps(
         boxes: (N, 4), squares around the landmarks, give or take.
         normaliser: as in `evaluate`, like all below.
         progress: called with the stage's name, faces done and faces in all.
-        read: gets a picture's path and returns it grey, uint8 (H, W).
+        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads.
 
     Raises:
         InputError: as `evaluate`.
@@ -200,17 +200,13 @@ def _evaluate(
     require_scheme(scheme, faces)
     normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
     boxed = np.flatnonzero(np.isfinite(boxes).all(1))
-    problems = {number: f"{face.image}: no face box" for number, face in enumerate(faces)}
+    unboxed = np.flatnonzero(~np.isfinite(boxes).all(1))
     if boxed.size:
         progress("compiling (cached for later runs)", 0, len(faces))
         compiled([size for size in batch_sizes() if size <= boxed.size])
     begin = time.perf_counter()
     fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed])
     seconds = time.perf_counter() - begin
-    for row, number in enumerate(map(int, boxed)):
-        problems.pop(number)
-        if row in fits[0].problems:
-            problems[number] = fits[0].problems[row]
 
     def whole(found: np.ndarray) -> np.ndarray:
         """What was found of faces with boxes, of all faces; NaN for the others."""
@@ -224,6 +220,8 @@ def _evaluate(
     solid_truth = _solid_truth(model, scheme, truth)
     evaluations = []
     for each in fits:
+        problems = {int(number): f"{faces[int(number)].image}: no face box" for number in unboxed}
+        problems |= {int(boxed[row]): why for row, why in each.problems.items()}
         landmarks = whole(convert(each.landmarks, model.scheme, scheme))
         pose = None if each.pose is None else whole(each.pose)
         errors_3d = None

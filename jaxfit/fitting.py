@@ -1,6 +1,7 @@
 """Fitting pictures: crops through the cascade in fixed-size batches, landmarks back to the pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +22,7 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.camera_asm import CameraASM
 
 # Every number of faces is served by batches of these sizes: three compilations, whatever comes. Where there are several
-# devices each has a batch of the first size, and shares it out to none of the others.
+# devices, one more: batches of the first size for each of them, all at once.
 BATCHES = (64, 8, 1)
 
 
@@ -132,13 +133,17 @@ class _Way(NamedTuple):
 
 
 def _fits(
-    model: Model, faces: Iterator[CutFace], count: int, way: _Way, progress: Callable[[str, int, int], None]
+    model: Model,
+    faces: Generator[CutFace, None, None],
+    count: int,
+    way: _Way,
+    progress: Callable[[str, int, int], None],
 ) -> list[Fits]:
     """The fits of ``count`` faces: of the whole cascade, or after each step."""
     steps = len(model.cascade.windows) if way.every_step else 1
     fits = [Fits(problems={}, **_empty(model, count)) for _ in range(steps)]
     problems: dict[int, str] = {}
-    model = _on_all_devices(model)
+    compute = _computing(model, way, count)
 
     def keep(batch: list[CutFace], computed: dict[str, jax.Array]) -> None:
         """Wait for what is computed, and put it where it belongs."""
@@ -147,12 +152,13 @@ def _fits(
             _put(each, batch, {name: of[:, step] for name, of in found.items()} if way.every_step else found)
 
     computing: tuple[list[CutFace], dict[str, jax.Array]] | None = None
-    for batch in _batches(faces, problems):  # whose crops are cut while the batch before is computed
-        if computing is not None:
-            keep(*computing)
-        progress("fitting", batch[0].number, count)
-        # Only now: on a CPU two computations would take each other's threads.
-        computing = batch, _compute(model, np.stack([face.crop.pixels for face in batch if face.crop]), way)
+    with closing(faces):
+        for batch in _batches(faces, problems):  # whose crops are cut while the batch before is computed
+            if computing is not None:
+                keep(*computing)
+            progress("fitting", batch[0].number, count)
+            # Only now: on a CPU two computations would take each other's threads.
+            computing = batch, compute(np.stack([face.crop.pixels for face in batch if face.crop]))
     if computing is not None:
         keep(*computing)
     progress("fitting", count, count)
@@ -236,21 +242,25 @@ def _mesh() -> Mesh:
     return jax.make_mesh((len(devices),), ("faces",), (AxisType.Auto,), devices=devices)
 
 
-def _on_all_devices(model: Model) -> Model:
-    """The model with its arrays where they are needed."""
-    if len(jax.local_devices()) == 1:
-        return model
-    cascade, head = jax.device_put((model.cascade, model.head), NamedSharding(_mesh(), PartitionSpec()))
-    return replace(model, cascade=cascade, head=head)
+def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], dict[str, jax.Array]]:
+    """What finds, in crops (N, side, side), all that is in `Fits`, by name, in crop pixels; it works in the background.
 
-
-def _compute(model: Model, crops: np.ndarray, way: _Way) -> dict[str, jax.Array]:
-    """What is found in crops (N, side, side), by its name in `Fits`, in crop pixels; computed in the background.
-
-    Batches of the largest size are shared out to all devices.
+    Batches that are larger than one device's are shared out to all devices, and the model with them: if there will be
+    such a batch among ``count`` faces.
     """
-    mesh = _mesh() if len(crops) == batch_sizes()[0] and len(batch_sizes()) > len(BATCHES) else None
-    return _found(model.cascade, model.head, jnp.asarray(crops), way.turns, way.refine, way.every_step, mesh)
+    parts = model.cascade, model.head
+    if len(jax.local_devices()) == 1 or count < batch_sizes()[0]:
+        return lambda crops: _found(*parts, jnp.asarray(crops), *way, None)
+    mesh = _mesh()
+    everywhere = jax.device_put(parts, NamedSharding(mesh, PartitionSpec()))
+    of_each = NamedSharding(mesh, PartitionSpec("faces"))
+
+    def compute(crops: np.ndarray) -> dict[str, jax.Array]:
+        if len(crops) > BATCHES[0]:
+            return _found(*everywhere, jax.device_put(crops, of_each), *way, mesh)
+        return _found(*parts, jnp.asarray(crops), *way, None)
+
+    return compute
 
 
 @partial(jax.jit, static_argnames=("refine", "every_step", "mesh"))
@@ -289,8 +299,10 @@ def warm_up(
     refine: bool = False,
     every_step: bool = False,
 ) -> None:
-    """Compile the model for the batch sizes that ``fit`` uses, all unless told, or with ``every_step`` `fit_steps`; the
-    first fit is then as fast as the others.
+    """Compile the model for the batch sizes that ``fit`` uses, all unless told; the first fit is then as fast as the
+    others.
+
+    With ``every_step`` it is for `fitting.fit_steps`, which has a single start whatever ``initialisations`` says.
 
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
@@ -298,6 +310,7 @@ def warm_up(
     require_refinable(model, refine)
     side = model.cascade.frame.crop
     turns = None if every_step else start_rotations(initialisations, ANY_ROTATION)
-    model = _on_all_devices(model)
-    for size in batches or batch_sizes():
-        jax.block_until_ready(_compute(model, np.zeros((size, side, side), np.uint8), _Way(turns, refine, every_step)))
+    sizes = batch_sizes() if batches is None else batches
+    compute = _computing(model, _Way(turns, refine, every_step), max(sizes, default=0))
+    for size in sizes:
+        jax.block_until_ready(compute(np.zeros((size, side, side), np.uint8)))

@@ -1,6 +1,7 @@
 """Crops are the same whether pictures come as files or arrays, in order, with few pictures in memory at a time."""
 
 import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -47,6 +48,49 @@ def test_files_and_arrays_make_the_same_crops(model, pictures, files) -> None:
     for name in ("pixels", "scale", "offset"):
         np.testing.assert_array_equal(getattr(read, name), getattr(made, name))
     assert len(np.unique(made.pixels.reshape(FACES, -1), axis=0)) > FACES / 2
+
+
+def test_a_stack_of_pictures_is_as_good_as_a_list(model) -> None:
+    stack = np.random.default_rng(1).integers(0, 256, (6, 50, 60), dtype=np.uint8)
+    stacked, listed = (jaxfit.crop_faces(model, images, boxes(6))[0].pixels for images in (stack, list(stack)))
+    np.testing.assert_array_equal(stacked, listed)
+    assert len(np.unique(stacked.reshape(6, -1), axis=0)) == 6
+
+
+def test_many_faces_of_one_picture(model, pictures) -> None:
+    together, problems = jaxfit.crop_faces(model, [pictures[0]] * FACES, boxes(FACES))
+    copies, _ = jaxfit.crop_faces(model, [pictures[0].copy() for _ in range(FACES)], boxes(FACES))
+    assert not problems
+    np.testing.assert_array_equal(together.pixels, copies.pixels)
+
+
+def test_readers_of_ones_own_may_fail_or_return_what_is_no_picture(model, files) -> None:
+    def own(path: Path) -> np.ndarray:
+        return np.array(path.stat().st_size / 1.0)
+
+    _, problems = jaxfit.crop_faces(model, [files[0].with_name("none"), files[0], files[1]], boxes(3), read=own)
+    assert sorted(problems) == [0, 1, 2]
+    assert "No such file" in problems[0]
+    for number in (1, 2):
+        assert problems[number].startswith(f"{files[number - 1]}: expected a uint8")
+
+
+def test_who_wants_no_more_has_no_more_read(model, pictures) -> None:
+    begun: list[Path] = []
+
+    def counted(path: Path) -> np.ndarray:
+        begun.append(path)
+        return pictures[0]
+
+    def stopping(stage: str, done: int, total: int) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as kept:  # which keeps the frames of what was stopped
+        jaxfit.fit(model, [Path(str(k)) for k in range(5000)], boxes(5000), read=counted, progress=stopping)
+    before = len(begun)
+    time.sleep(0.3)
+    assert len(begun) == before < 1000
+    assert kept.type is KeyboardInterrupt
 
 
 def test_files_that_cannot_be_read_do_not_stop_the_others(model, files, tmp_path: Path) -> None:

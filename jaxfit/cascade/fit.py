@@ -21,6 +21,7 @@ from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Point, Scalar
 # Few, as they wait for each other; several, as a single one does not fill the processor's vectors.
 _ALIGNED_AT_ONCE = 4
 _FAR = 1e4  # pixels, many crops
+_EXACT = lax.Precision.HIGHEST  # as in training, where later steps learned to follow these
 # Degrees: what several starts cover unless told otherwise. Faces upside down are left out, as in the thesis.
 ANY_ROTATION = (-90.0, 90.0)
 
@@ -115,8 +116,9 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> tuple[State, Stat
         weights, bias, window, directions = layer
         features = features_of(descriptor, space, prepared, states, window)
         # All faces and starts at once, so that the weights, megabytes, are read once.
-        found = features @ weights
-        states = move(states, (found if directions is None else found @ directions) + bias)
+        found = jnp.matmul(features, weights, precision=_EXACT)
+        found = found if directions is None else jnp.matmul(found, directions, precision=_EXACT)
+        states = move(states, found + bias)
         return states, states
 
     return lax.scan(step, states, (cascade.weights, cascade.biases, cascade.windows, cascade.directions))

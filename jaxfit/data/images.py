@@ -15,8 +15,8 @@ from jaxfit.exceptions import ImageError, InputError
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 # Taken up from folders all the same, so that read_image says what is wrong with them.
 _UNREADABLE_SUFFIXES = (".heic", ".heif")
-_LEVELS = Lock()
-_levels: list[int] = []
+# OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
+_QUIET, _inside, _level_before = Lock(), 0, 0
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
@@ -66,6 +66,7 @@ class GreyPictures:
 
     def __init__(self, most_bytes: float = 4e9):
         self._left = most_bytes
+        self._lock = Lock()
         self._kept: dict[Path, np.ndarray] = {}
 
     def __call__(self, path: str | Path) -> np.ndarray:
@@ -77,10 +78,12 @@ class GreyPictures:
         path = Path(path)
         if path not in self._kept:
             grey = read_grey(path)
-            if grey.nbytes > self._left:
-                return grey
-            self._left -= grey.nbytes
-            self._kept[path] = grey
+            with self._lock:  # threads read at the same time
+                if path not in self._kept:
+                    if grey.nbytes > self._left:
+                        return grey
+                    self._left -= grey.nbytes
+                    self._kept[path] = grey
         return self._kept[path]
 
 
@@ -160,18 +163,20 @@ def _pictures_in(folder: Path) -> list[Path]:
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Failures are reported once, with the file's name; OpenCV would print its own account."""
+    global _inside, _level_before
     log = cv2.utils.logging
-    with _LEVELS:
-        _levels.append(log.getLogLevel())
-        log.setLogLevel(log.LOG_LEVEL_SILENT)
+    with _QUIET:
+        if not _inside:
+            _level_before = log.getLogLevel()
+            log.setLogLevel(log.LOG_LEVEL_SILENT)
+        _inside += 1
     try:
         yield
     finally:
-        with _LEVELS:  # the last thread to leave finds what was there before the first came
-            level = _levels[0]
-            _levels.pop()
-            if not _levels:
-                log.setLogLevel(level)
+        with _QUIET:
+            _inside -= 1
+            if not _inside:
+                log.setLogLevel(_level_before)
 
 
 def _complaint(data: bytes) -> str | None:

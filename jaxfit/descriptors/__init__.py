@@ -3,5 +3,5 @@
 from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
 
-# What model files call the descriptors; a new one is a line here.
+# What model files, experiments and the command line call them; a new one, as `Descriptor` asks for, is a line here.
 DESCRIPTORS = {"sift": Sift, "dense": Dense}

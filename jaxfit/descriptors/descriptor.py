@@ -12,7 +12,11 @@ from jaxfit.types import Crop, Features, Point, Scalar
 
 @runtime_checkable
 class Descriptor(Protocol):
-    """Describes a landmark's neighbourhood; immutable and hashable, so that it can be part of a compiled function."""
+    """Describes a landmark's neighbourhood; immutable and hashable, so that it can be part of a compiled function.
+
+    It is a frozen dataclass whose fields are values of JSON, as model files and experiments write them, all with
+    defaults; one of them is ``orientation``, which may be ``"upright"`` or ``"face"``, as the command line sets it.
+    """
 
     @property
     def frame(self) -> Frame:
