@@ -1,7 +1,7 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -69,7 +69,7 @@ class Options:
         seed: of boxes and starts.
         descriptor: what is seen at a landmark; None is SIFT in windows that turn with the face, but upright ones for
             SDM from a single start.
-        frame: size of the crops.
+        frame: size of the crops; None is what suits the descriptor.
 
     Raises:
         InputError: an option out of range.
@@ -90,7 +90,7 @@ class Options:
     haar: bool = True
     seed: int = 0
     descriptor: Descriptor | None = None
-    frame: Frame = field(default_factory=Frame)
+    frame: Frame | None = None
 
     def __post_init__(self) -> None:
         check_rotations(self.initialisations, self.rotations)
@@ -130,19 +130,19 @@ class Trained:
     problems: tuple[str, ...]
 
 
-def _point_space(faces: np.ndarray, scheme: Scheme, options: Options) -> PointSpace:
-    return PointSpace(jnp.asarray(mean_face(faces, options.frame.face), jnp.float32))
+def _point_space(faces: np.ndarray, scheme: Scheme, options: Options, side: float) -> PointSpace:
+    return PointSpace(jnp.asarray(mean_face(faces, side), jnp.float32))
 
 
-def _similarity_asm(faces: np.ndarray, scheme: Scheme, options: Options) -> SimilarityASM:
+def _similarity_asm(faces: np.ndarray, scheme: Scheme, options: Options, side: float) -> SimilarityASM:
     points = jnp.asarray(faces, jnp.float32)
-    return learn_similarity_asm(points, options.frame.face, options.shape_variance, options.sigmas)
+    return learn_similarity_asm(points, side, options.shape_variance, options.sigmas)
 
 
-def _camera_asm(faces: np.ndarray, scheme: Scheme, options: Options) -> CameraASM:
+def _camera_asm(faces: np.ndarray, scheme: Scheme, options: Options, side: float) -> CameraASM:
     """Pictures tell nothing of depth: the shape model is that of a head model."""
     in_cm = load_head(options.head).of(scheme, options.shape_variance)
-    pixels = options.frame.face / jnp.ptp(in_cm.mean[:, :2], 0).max()
+    pixels = side / jnp.ptp(in_cm.mean[:, :2], 0).max()
     model = in_cm.scaled(pixels)
     sigmas = likely_radius(len(model.deviations)) if options.sigmas is None else options.sigmas
     return CameraASM(model, jnp.float32(sigmas))
@@ -153,12 +153,13 @@ class Method:
     """What makes a method.
 
     Attributes:
-        learn_space: learns the shape space from faces (N, L, 2) of a scheme, given in units of their bounding squares.
+        learn_space: learns the shape space from faces (N, L, 2) of a scheme, given in units of their bounding squares;
+            the last argument is the side of the canonical face, in pixels.
         descriptor: what is seen at a landmark unless told otherwise.
         in_3d: whether it finds the face in 3D.
     """
 
-    learn_space: Callable[[np.ndarray, Scheme, Options], ShapeSpace]
+    learn_space: Callable[[np.ndarray, Scheme, Options, float], ShapeSpace]
     descriptor: Descriptor
     in_3d: bool = False
 
@@ -210,17 +211,18 @@ def train(
         raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
     if len(complete) < 2:
         raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
+    descriptor, frame = seen(method, options)
     # A head model without these landmarks stops before the work.
-    solid = _camera_asm(np.empty(0), scheme, options) if METHODS[method].in_3d else None
+    solid = _camera_asm(np.empty(0), scheme, options, frame.face) if METHODS[method].in_3d else None
     landmarks = np.stack([face.landmarks for face in complete])
     squares = np.stack([bounding_square(points) for points in landmarks])
     relative = (landmarks - squares[:, None, :2]) / squares[:, None, 2:]
-    mean = mean_face(relative, options.frame.face)
+    mean = mean_face(relative, frame.face)
     rng = np.random.default_rng(options.seed)
     jittered = np.stack([jitter(square, rng) for square in squares])
-    placement = measure_placement(jittered, landmarks, mean, options.frame.face)
+    placement = measure_placement(jittered, landmarks, mean, frame.face)
 
-    crops = Crops.empty(len(complete), options.frame)
+    crops = Crops.empty(len(complete), frame)
     detected, every = _Detected(), max(1, len(complete) // _DETECTED_FACES)
     usable = []
     for number, face in enumerate(complete):
@@ -239,11 +241,11 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
 
     rows = np.array(usable)
-    space = METHODS[method].learn_space(relative[rows], scheme, options)
+    space = METHODS[method].learn_space(relative[rows], scheme, options, frame.face)
     cascade = train_cascade(
         space,
-        options.descriptor or default_descriptor(method, options.initialisations),
-        options.frame,
+        descriptor,
+        frame,
         _training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
         _scaled(placement.spread, options.spread),
         windows=options.windows,
@@ -256,7 +258,7 @@ def train(
         progress=progress,
     )
     head = solid if METHODS[method].aligns else None
-    placements = {SQUARE: placement, **detected.placements(landmarks, mean, options.frame.face)}
+    placements = {SQUARE: placement, **detected.placements(landmarks, mean, frame.face)}
     return Trained(
         Model(cascade, scheme, placements, _summary(method, options, len(usable)), head),
         len(usable),
@@ -267,6 +269,12 @@ def train(
 def default_descriptor(method: str, initialisations: int) -> Descriptor:
     """What is seen at a landmark unless told otherwise: with several initialisations, windows turn with the face."""
     return METHODS[method].descriptor if initialisations == 1 else Sift("face")
+
+
+def seen(method: str, options: Options) -> tuple[Descriptor, Frame]:
+    """What a method sees at a landmark, and the size of its crops, with these options."""
+    descriptor = options.descriptor or default_descriptor(method, options.initialisations)
+    return descriptor, options.frame or descriptor.frame
 
 
 def _turn(options: Options) -> float:

@@ -45,7 +45,7 @@ def main() -> None:
         for name, method in METHODS.items():
             # Alignment comes after the last step; up to there it is the parametric method.
             if not method.aligns:
-                space = method.learn_space(relative, dataset.scheme, Options())
+                space = method.learn_space(relative, dataset.scheme, Options(), method.descriptor.frame.face)
                 rows.append({"points": faces.shape[1], "method": name, **cost(space, method.descriptor)})
     print(
         f"One step of one face. jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}, "
@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
-    frame = Options().frame
+    frame = descriptor.frame
     middle = Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.float32(0.1))
     state = state_of(descriptor, space, space.place(middle))
     points = space.landmarks(state.params).shape[0]

@@ -12,14 +12,12 @@ import numpy as np
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.records import Dataset
-from jaxfit.descriptors import DESCRIPTORS
-from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
 from jaxfit.exceptions import InputError
-from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import SCHEMES, Scheme, scheme_named
-from jaxfit.training import METHODS, Options, default_descriptor
+from jaxfit.training import METHODS, Options, default_descriptor, seen
 
 _DEFAULT = Options()
 
@@ -156,26 +154,23 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
 
 
-def described(kind: str, usual: Descriptor, choices: dict[str, str | None]) -> Descriptor:
-    """A descriptor of a kind, with what was chosen of it; its windows otherwise turn if those of the usual one do.
+def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
+    """The options of training that the command line gives; faces of unknown landmarks are not mirrored.
 
     Raises:
-        InputError: a choice that this kind does not have.
+        InputError: an option out of range, or a choice that the descriptor does not have.
     """
-    chosen = {name: value for name, value in choices.items() if value is not None}
-    plain: Any = DESCRIPTORS[kind](orientation="face" if usual.turns else "upright")
-    for name in chosen:
-        if not hasattr(plain, name):
-            raise InputError(f"the descriptor {kind} has no {name}: leave out --{name}, or take another --descriptor")
-    return replace(plain, **chosen)
-
-
-def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
-    """The options of training that the command line gives; faces of unknown landmarks are not mirrored."""
     usual = default_descriptor(method, arguments.initialisations)
-    choices = {"orientation": arguments.orientation, "normalisation": arguments.normalisation}
-    descriptor = described(arguments.descriptor, usual, choices)
-    frame = descriptor.frame
+    descriptor: Any = descriptor_like(usual, arguments.descriptor)
+    for name in ("orientation", "normalisation"):
+        if choice := getattr(arguments, name):
+            if not hasattr(descriptor, name):
+                raise InputError(
+                    f"the descriptor {arguments.descriptor} has no {name}: leave out --{name}, or take another "
+                    "--descriptor"
+                )
+            descriptor = replace(descriptor, **{name: choice})
+    sides = {name: side for name in ("crop", "face") if (side := getattr(arguments, name)) is not None}
     return Options(
         windows=tuple(arguments.windows),
         augmentations=arguments.augmentations,
@@ -193,7 +188,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         seed=arguments.seed,
         # Left open where it is the usual one, which depends on the other options.
         descriptor=None if descriptor == usual else descriptor,
-        frame=Frame(arguments.crop or frame.crop, arguments.face or frame.face),
+        frame=replace(descriptor.frame, **sides) if sides else None,
     )
 
 
@@ -214,12 +209,12 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
     texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
     options = otherwise(method)
     if kind := texts.pop("descriptor", None):
-        if kind not in DESCRIPTORS:
-            raise InputError(f"--method {text}: expected a descriptor among {', '.join(DESCRIPTORS)}; got {kind!r}")
         usual = default_descriptor(method, options.initialisations)
-        options = replace(options, descriptor=described(kind, usual, {}), frame=DESCRIPTORS[kind]().frame)
-    descriptor = options.descriptor or default_descriptor(method, options.initialisations)
-    parts: dict[str, Any] = {"descriptor": descriptor, "frame": options.frame}
+        try:
+            options = replace(options, descriptor=descriptor_like(usual, kind), frame=None)
+        except InputError as error:
+            raise InputError(f"--method {text}: {error}") from None
+    parts: dict[str, Any] = dict(zip(("descriptor", "frame"), seen(method, options), strict=True))
     known = {key: value for key, value in vars(options).items() if key not in parts}
     for part in parts.values():
         known |= vars(part)
@@ -231,7 +226,7 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
         of_parts = {name: {key: values.pop(key) for key in vars(part) if key in values} for name, part in parts.items()}
         options = replace(options, **values)
         # Not before: what is the default may depend on the other options.
-        parts["descriptor"] = options.descriptor or default_descriptor(method, options.initialisations)
+        parts = dict(zip(parts, seen(method, options), strict=True))
         changed = {name: replace(parts[name], **keys) for name, keys in of_parts.items() if keys}
         return method, replace(options, **changed)
     except InputError as error:

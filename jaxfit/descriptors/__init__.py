@@ -1,7 +1,21 @@
 """What a landmark's neighbourhood looks like, as a vector; pure JAX, for one landmark."""
 
 from jaxfit.descriptors.dense import Dense
+from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import Sift
+from jaxfit.exceptions import InputError
 
 # What model files, experiments and the command line call them; a new one, as `Descriptor` asks for, is a line here.
 DESCRIPTORS = {"sift": Sift, "dense": Dense}
+
+
+def descriptor_like(usual: Descriptor, kind: str) -> Descriptor:
+    """The usual descriptor if it is of this kind, or one that is, whose windows turn if those of the usual one do.
+
+    Raises:
+        InputError: there is no such kind.
+    """
+    if kind not in DESCRIPTORS:
+        raise InputError(f"expected a descriptor among {', '.join(DESCRIPTORS)}; got {kind!r}")
+    made = DESCRIPTORS[kind]
+    return usual if type(usual) is made else made(orientation="face" if usual.turns else "upright")

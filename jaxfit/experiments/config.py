@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxfit.data.datasets import FORMATS
-from jaxfit.descriptors import DESCRIPTORS
+from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.evaluation.errors import NORMALISERS
 from jaxfit.exceptions import InputError
@@ -159,7 +159,8 @@ class Config:
             plan.name: {"method": plan.method, **_without(vars(plan.options), _NOT_OPTIONS)} for plan in self.methods
         }
         for values in methods.values():
-            values["frame"] = vars(values["frame"])
+            if frame := values.get("frame"):
+                values["frame"] = vars(frame)
             if descriptor := values.get("descriptor"):
                 kind = next(kind for kind, made in DESCRIPTORS.items() if type(descriptor) is made)
                 values["descriptor"] = {"kind": kind, **vars(descriptor)}
@@ -243,27 +244,28 @@ def _pose(values: Mapping[str, Any]) -> PosePlan:
 def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping[str, Any]) -> Options:
     """The usual options, and descriptor, with what a table says about training."""
     _require_known(where, values, _OPTIONS)
-    changed: dict[str, Any] = {}
-    for key, value in values.items():
-        if key in ("descriptor", "frame"):
-            table = dict(_table(values, key, f"{where} "))
-            part = _descriptor(where, descriptor, table) if key == "descriptor" else usual.frame
-            _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
-            parts = {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()}
-            changed[key] = _checked(where, part, parts)
-        else:
-            changed[key] = _like(getattr(usual, key), f"{where} {key}", value)
+    plain = {key: value for key, value in values.items() if key not in ("descriptor", "frame")}
+    changed = {key: _like(getattr(usual, key), f"{where} {key}", value) for key, value in plain.items()}
+    if "descriptor" in values:
+        changed["descriptor"] = descriptor = _descriptor(where, descriptor, _table(values, "descriptor", f"{where} "))
+    if "frame" in values:
+        changed["frame"] = _part(where, "frame", descriptor.frame, _table(values, "frame", f"{where} "))
     return _checked(where, usual, changed)
 
 
-def _descriptor(where: str, usual: Descriptor, table: dict[str, Any]) -> Any:
-    """The usual descriptor, or, if the table says so, one of another ``kind``, which is taken out of it."""
-    kind = table.pop("kind", None)
-    if kind is None:
-        return usual
-    if kind not in DESCRIPTORS:
-        raise InputError(f"{where} descriptor.kind: expected one of {', '.join(DESCRIPTORS)}; got {kind!r}")
-    return usual if type(usual) is DESCRIPTORS[kind] else DESCRIPTORS[kind]()
+def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Descriptor:
+    """The usual descriptor, or one of another ``kind``, with what a table says about it."""
+    try:
+        made = descriptor_like(usual, table["kind"]) if "kind" in table else usual
+    except InputError as error:
+        raise InputError(f"{where} descriptor.kind: {error}") from None
+    return _part(where, "descriptor", made, _without(table, {"kind"}))
+
+
+def _part(where: str, key: str, part: Any, table: Mapping[str, Any]) -> Any:
+    """A part of the options with what the table of a key says about it."""
+    _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
+    return _checked(where, part, {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()})
 
 
 def _checked(where: str, thing: Any, changed: Mapping[str, Any]) -> Any:

@@ -24,7 +24,7 @@ from jaxfit.models.files import load, save
 from jaxfit.models.heads import load_head
 from jaxfit.models.model import Model
 from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme, scheme_named
-from jaxfit.training import METHODS, Options, default_descriptor
+from jaxfit.training import METHODS, Options, seen
 
 Progress = Callable[[str, int, int], None]
 
@@ -234,8 +234,8 @@ def cascades(methods: Sequence[MethodPlan]) -> list[tuple[MethodPlan, ...]]:
 
 def _cascade(plan: MethodPlan) -> tuple[object, Options]:
     """What makes the cascade of a method."""
-    descriptor = plan.options.descriptor or default_descriptor(plan.method, 1)
-    return METHODS[plan.method].learn_space, replace(plan.options, descriptor=descriptor, head="")
+    descriptor, frame = seen(plan.method, plan.options)
+    return METHODS[plan.method].learn_space, replace(plan.options, descriptor=descriptor, frame=frame, head="")
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:

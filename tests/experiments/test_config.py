@@ -8,6 +8,7 @@ import pytest
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.exceptions import InputError
 from jaxfit.experiments.config import config_from, read_config
+from jaxfit.training import seen
 
 TEXT = """
 folds = 3
@@ -105,7 +106,7 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ('"pointing04:c"', '"pointing:c"', r"\[pose\] test: expected FORMAT one of pts, .*; got pointing:c"),
         ("[methods.sdm]", "[methods]\nsdm = 3", r"expected a table, \[methods.sdm\]; got sdm = 3"),
         ("sigmas = 3", "sigmas = 'x'", r"\[methods.narrow\] sigmas: expected a number; got 'x'"),
-        ('{normalisation = "cell"}', '{kind = "hog"}', "descriptor.kind: expected one of sift, .*; got 'hog'"),
+        ('{normalisation = "cell"}', '{kind = "hog"}', "descriptor.kind: expected a descriptor among sift, .*; got 'hog'"),
     ],
 )
 def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
@@ -124,6 +125,13 @@ def test_descriptors_of_other_kinds() -> None:
         config = config_from(changed('{normalisation = "cell"}', f'{{kind = "{kind}"}}'))
         assert {type(plan.options.descriptor) for plan in config.methods} == {made}
         assert config_from(config.as_json()) == config
+        turns = {plan.name: seen(plan.method, plan.options)[0].turns for plan in config.methods}
+        assert turns == {name: name != "sdm" for name in turns}
+        # The crops suit it, too, unless they are given.
+        config = config_from(
+            {"datasets": {"a": {"data": ["pts:a"]}}, "methods": {"sdm": {"descriptor": {"kind": kind}}}}
+        )
+        assert seen("sdm", config.method("sdm").options)[1] == made().frame
     # A part of the usual one.
     sdm = config_from(changed('{normalisation = "cell"}', '{kind = "sift", normalisation = "cell"}')).method("sdm")
     assert sdm == config_from(tomllib.loads(TEXT)).method("sdm")
