@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crop, Crops, cut_face
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.images import read_upright, to_grey
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.models.model import SQUARE, Model
 
@@ -43,7 +43,7 @@ class CutFace(NamedTuple):
 
 
 def crop_faces(
-    model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str] = SQUARE, read: Read = read_image
+    model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str] = SQUARE, read: Read = read_upright
 ) -> tuple[Crops, dict[int, str]]:
     """Cut the crops that the model's cascade works on.
 
@@ -53,8 +53,8 @@ def crop_faces(
             same may come several times, once for each of its faces.
         boxes: (N, 4) x, y, width, height of the faces, in pixels.
         kind: what drew the boxes, one of ``model.placements``; or N of them.
-        read: what makes an array of a file, in threads; if it raises `jaxfit.ImageError` or an `OSError`, this picture
-            alone has a problem.
+        read: what makes an array of a file, in threads; unless told, pictures are turned upright as EXIF data say.
+            If it raises `jaxfit.ImageError` or an `OSError`, this picture alone has a problem.
 
     Returns:
         The crops; and for each face that cannot be cut (its crop is black) its number and why.

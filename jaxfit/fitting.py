@@ -16,7 +16,7 @@ from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotatio
 from jaxfit.cascade.model import Cascade
 from jaxfit.cropping import CutFace, Images, Read, cut_faces
 from jaxfit.data.crops import to_image
-from jaxfit.data.images import read_image
+from jaxfit.data.images import read_upright
 from jaxfit.exceptions import InputError
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.camera_asm import CameraASM
@@ -65,7 +65,7 @@ def fit(
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
-    read: Read = read_image,
+    read: Read = read_upright,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
     """Find the landmarks of N faces, and their 3D shapes and poses if the model knows of them.
@@ -85,7 +85,7 @@ def fit(
         rotations: lowest and highest rotation of the starts, in degrees, clockwise as seen; a single start is in the
             middle.
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
-        read: makes an array of a file, in threads; `jaxfit.read_image` turns pictures upright as their EXIF data say.
+        read: makes an array of a file, in threads; unless told, pictures are turned upright as their EXIF data say.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
@@ -104,7 +104,7 @@ def fit_steps(
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
-    read: Read = read_image,
+    read: Read = read_upright,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> list[Fits]:
     """The fits after each step of the cascade, from one start a face; the last are those of `fit`.

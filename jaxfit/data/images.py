@@ -17,6 +17,7 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 _UNREADABLE_SUFFIXES = (".heic", ".heif")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
+_JPEG = b"\xff\xd8"
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
@@ -31,21 +32,16 @@ def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
     Raises:
         ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
     """
-    try:
-        data = Path(path).read_bytes()
-    except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
-        raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-    if complaint := _complaint(data):
-        raise ImageError(f"{path}: {complaint}")
-    flags = cv2.IMREAD_COLOR if exif else cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        with _quiet():
-            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise ImageError(f"{path}: cannot be decoded ({error.err or error})") from error
-    if picture is None:
-        raise ImageError(f"{path}: not a picture, damaged, or of a format that OpenCV does not read")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    return _decoded(path, _data(path), cv2.IMREAD_COLOR, exif)
+
+
+def read_upright(path: str | Path) -> np.ndarray:
+    """The picture in a file, turned upright as its EXIF data say, grey, uint8 (H, W).
+
+    Raises:
+        ImageError: as `read_image`.
+    """
+    return _grey(path, exif=True)
 
 
 def read_grey(path: str | Path) -> np.ndarray:
@@ -54,7 +50,38 @@ def read_grey(path: str | Path) -> np.ndarray:
     Raises:
         ImageError: as `read_image`.
     """
-    return to_grey(read_image(path, exif=False))
+    return _grey(path, exif=False)
+
+
+def _grey(path: str | Path, exif: bool) -> np.ndarray:
+    data = _data(path)
+    if data.startswith(_JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
+        return _decoded(path, data, cv2.IMREAD_GRAYSCALE, exif)
+    return to_grey(_decoded(path, data, cv2.IMREAD_COLOR, exif))
+
+
+def _data(path: str | Path) -> bytes:
+    """What is in a file that may be a picture."""
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
+        raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+    if complaint := _complaint(data):
+        raise ImageError(f"{path}: {complaint}")
+    return data
+
+
+def _decoded(path: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarray:
+    """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
+    flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
+    try:
+        with _quiet():
+            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise ImageError(f"{path}: cannot be decoded ({error.err or error})") from error
+    if picture is None:
+        raise ImageError(f"{path}: not a picture, damaged, or of a format that OpenCV does not read")
+    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
 class GreyPictures:
@@ -185,7 +212,7 @@ def _complaint(data: bytes) -> str | None:
         return "the file is empty"
     if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
         return "HEIC pictures are not supported; convert it to JPEG"
-    jpeg = data.startswith(b"\xff\xd8")
+    jpeg = data.startswith(_JPEG)
     png = data.startswith(b"\x89PNG\r\n\x1a\n")
     if (jpeg and not _jpeg_ends(data)) or (png and b"IEND" not in data):
         return "the file is truncated; copy or download it again"

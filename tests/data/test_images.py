@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.data.images import GreyPictures, find_images, read_grey, read_image, to_grey, write_image
+from jaxfit.data.images import GreyPictures, find_images, read_grey, read_image, read_upright, to_grey, write_image
 from jaxfit.exceptions import ImageError, InputError
 
 LOSSLESS = [".png", ".bmp", ".tif", ".tiff", ".webp"]
@@ -80,6 +80,29 @@ def test_exif_orientation_is_obeyed_or_not(tmp_path, rgb, orientation, turn):
     stored = read_bytes(tmp_path, plain)
     np.testing.assert_array_equal(read_bytes(tmp_path, oriented(plain, orientation)), turn(stored))
     np.testing.assert_array_equal(read_bytes(tmp_path, oriented(plain, orientation), exif=False), stored)
+
+
+def test_grey_is_what_the_colours_give(tmp_path, rgb):
+    bgr = rgb[..., ::-1]
+    deep, alpha = bgr.astype(np.uint16) * 256 + 3, np.dstack([bgr, np.full(rgb.shape[:2], 7, np.uint8)])
+    files = {
+        "turned.jpg": oriented(encoded(rgb), 6),
+        "progressive.jpg": encoded(rgb, ".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1),
+        "fine.jpg": encoded(rgb, ".jpg", cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+        **{f"plain{suffix}": encoded(rgb, suffix) for suffix in LOSSLESS},
+        "deep.png": cv2.imencode(".png", deep)[1].tobytes(),
+        "deep.tif": cv2.imencode(".tif", deep)[1].tobytes(),
+        "alpha.png": cv2.imencode(".png", alpha)[1].tobytes(),
+        "grey.png": cv2.imencode(".png", rgb[..., 0])[1].tobytes(),
+    }
+    for name, data in files.items():
+        path = tmp_path / name
+        path.write_bytes(data)
+        for read, exif in ((read_upright, True), (read_grey, False)):
+            away = np.abs(read(path) - to_grey(read_image(path, exif)).astype(int))
+            # Colours are rounded on their way from JPEG's luminance, and may be cut off at black and white.
+            assert away.mean() < (0.6 if path.suffix == ".jpg" else 1e-9), name
+            assert away.max() <= 8, name
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])

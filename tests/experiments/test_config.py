@@ -106,7 +106,11 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ('"pointing04:c"', '"pointing:c"', r"\[pose\] test: expected FORMAT one of pts, .*; got pointing:c"),
         ("[methods.sdm]", "[methods]\nsdm = 3", r"expected a table, \[methods.sdm\]; got sdm = 3"),
         ("sigmas = 3", "sigmas = 'x'", r"\[methods.narrow\] sigmas: expected a number; got 'x'"),
-        ('{normalisation = "cell"}', '{kind = "hog"}', "descriptor.kind: expected a descriptor among sift, .*; got 'hog'"),
+        (
+            '{normalisation = "cell"}',
+            '{kind = "hog"}',
+            "descriptor.kind: expected a descriptor among sift, .*; got 'hog'",
+        ),
     ],
 )
 def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
