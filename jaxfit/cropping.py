@@ -147,7 +147,7 @@ def _in_threads(
     work: Callable[[_Picture], list[CutFace]], pictures: Iterator[_Picture]
 ) -> Generator[CutFace, None, None]:
     """What ``work`` makes of each picture, in order, some of it ahead of time."""
-    pool = ThreadPoolExecutor(min(_MOST_THREADS, _cores()))
+    pool = ThreadPoolExecutor(min(_MOST_THREADS, cores()))
     waiting: deque[Future[list[CutFace]]] = deque()
     try:
         for picture in pictures:
@@ -160,7 +160,7 @@ def _in_threads(
         pool.shutdown(cancel_futures=True)  # someone may want no more
 
 
-def _cores() -> int:
+def cores() -> int:
     """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -1,10 +1,12 @@
 """Fitting pictures: crops through the cascade in fixed-size batches, landmarks back to the pictures."""
 
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotations
 from jaxfit.cascade.model import Cascade
-from jaxfit.cropping import CutFace, Images, Read, cut_faces
+from jaxfit.cropping import CutFace, Images, Read, cores, cut_faces
 from jaxfit.data.crops import to_image
 from jaxfit.data.images import read_upright
 from jaxfit.exceptions import InputError
@@ -24,6 +26,7 @@ from jaxfit.shapes.camera_asm import CameraASM
 # Every number of faces is served by batches of these sizes: three compilations, whatever comes. Where there are several
 # devices, one more: batches of the first size for each of them, all at once.
 BATCHES = (64, 8, 1)
+_MOST_AT_ONCE = 8  # each holds a batch and its descriptors
 
 
 @dataclass(frozen=True)
@@ -144,23 +147,31 @@ def _fits(
     fits = [Fits(problems={}, **_empty(model, count)) for _ in range(steps)]
     problems: dict[int, str] = {}
     compute = _computing(model, way, count)
+    device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
+    at_once = _at_once()
+    computing: deque[tuple[list[CutFace], Future[dict[str, np.ndarray]]]] = deque()
 
-    def keep(batch: list[CutFace], computed: dict[str, jax.Array]) -> None:
-        """Wait for what is computed, and put it where it belongs."""
-        found = _in_pictures(batch, {name: np.asarray(of) for name, of in computed.items()})
+    def computed(crops: np.ndarray) -> dict[str, np.ndarray]:
+        with jax.default_device(device):
+            return {name: np.asarray(of) for name, of in compute(crops).items()}
+
+    def keep() -> None:
+        """Wait for the batch that is computed first, and put what is found where it belongs."""
+        batch, waited = computing.popleft()
+        found = _in_pictures(batch, waited.result())
         for step, each in enumerate(fits):
             _put(each, batch, {name: of[:, step] for name, of in found.items()} if way.every_step else found)
 
-    computing: tuple[list[CutFace], dict[str, jax.Array]] | None = None
-    with closing(faces):
-        for batch in _batches(faces, problems):  # whose crops are cut while the batch before is computed
-            if computing is not None:
-                keep(*computing)
+    with closing(faces), ThreadPoolExecutor(at_once) as pool:
+        for batch in _batches(faces, problems):  # whose crops are cut while batches before are computed
+            if len(computing) == at_once:
+                keep()
             progress("fitting", batch[0].number, count)
-            # Only now: on a CPU two computations would take each other's threads.
-            computing = batch, compute(np.stack([face.crop.pixels for face in batch if face.crop]))
-    if computing is not None:
-        keep(*computing)
+            computing.append(
+                (batch, pool.submit(computed, np.stack([face.crop.pixels for face in batch if face.crop])))
+            )
+        while computing:
+            keep()
     progress("fitting", count, count)
     return [replace(each, problems=dict(sorted((problems | each.problems).items()))) for each in fits]
 
@@ -234,6 +245,17 @@ def batch_sizes() -> tuple[int, ...]:
     """Sizes of batches, large ones first."""
     several = len(jax.local_devices())
     return BATCHES if several == 1 else (several * BATCHES[0], *BATCHES)
+
+
+def _at_once() -> int:
+    """How many batches are computed at the same time.
+
+    Much of a computation keeps to one core, so that each core has its own; an accelerator computes one while the next
+    is on its way to it. Batches that are shared out to several devices keep all of them busy.
+    """
+    if len(jax.local_devices()) > 1:
+        return 1
+    return min(_MOST_AT_ONCE, cores()) if jax.default_backend() == "cpu" else 2
 
 
 def _mesh() -> Mesh:
