@@ -40,6 +40,14 @@ class Maps(NamedTuple):
     coarse: Map
 
 
+class Places(NamedTuple):
+    """Points of a map: the square whose centre is above and left of each, and how far towards the next ones it lies."""
+
+    corner: UInt[Array, "points"]
+    right_share: Float[Array, "points"]
+    bottom_share: Float[Array, "points"]
+
+
 @dataclass(frozen=True)
 class Dense:
     """Histograms of gradient orientation like SIFT's, from maps that are shared by all windows.
@@ -96,15 +104,19 @@ class Dense:
         quads = fine.reshape(len(fine) // 2, 2, len(fine) // 2, 2, BINS)
         return Maps(fine, quads[:, 0, :, 0] + quads[:, 0, :, 1] + quads[:, 1, :, 0] + quads[:, 1, :, 1])
 
-    def describe(self, prepared: Maps, level: int, point: Point, side: Scalar, angle: Scalar) -> Histograms:
-        """The histograms of the 4 × 4 cells (rows first) of the window of ``side`` pixels around ``point``."""
+    def aim(self, prepared: Maps, level: int, point: Point, side: Scalar, angle: Scalar) -> Places:
+        """Where in the map the 4 × 4 cells (rows first) of the window of ``side`` pixels around ``point`` lie."""
         steps = (jnp.arange(CELLS) - (CELLS - 1) / 2) * (side / CELLS)
         x, y = jnp.meshgrid(steps, steps)
         if self.turns:
             cos, sin = jnp.cos(angle), jnp.sin(angle)
             x, y = x * cos - y * sin, x * sin + y * cos
         x, y = point[0] + x.reshape(-1), point[1] + y.reshape(-1)
-        found = look_up(prepared[level], x, y, _STRIDES[level])
+        return places(x, y, len(prepared[level]), _STRIDES[level])
+
+    def describe(self, prepared: Maps, level: int, aim: Places, angle: Scalar) -> Histograms:
+        """The histograms of the 4 × 4 cells (rows first)."""
+        found = look_up(prepared[level], aim)
         return jnp.matmul(found, turned_bins(angle)) if self.turns else found
 
     def normalise(self, histograms: Histograms) -> Features:
@@ -133,22 +145,27 @@ def pooled(dx: Differences, dy: Differences) -> Map:
     return sum(parts[1:], start=parts[0])
 
 
-def look_up(map_: Map, x: Float[Array, "points"], y: Float[Array, "points"], stride: int) -> Float[Array, "points 8"]:
-    """A map of squares of ``stride`` pixels at points of the crop, bilinearly; beyond it, at its edge."""
-    height, width, _ = map_.shape
+def places(x: Float[Array, "points"], y: Float[Array, "points"], squares: int, stride: int) -> Places:
+    """Where points of the crop lie in a map of ``squares`` squares a side, each of ``stride`` pixels; points beyond it
+    are moved to its edge."""
     first = _MARGIN + (stride - 1) / 2  # where the first square has its centre
-    left, right_share = split((x - first) / stride, width)
-    top, bottom_share = split((y - first) / stride, height)
-    squares, right_share, bottom_share = map_.reshape(-1, BINS), right_share[:, None], bottom_share[:, None]
+    left, right_share = split((x - first) / stride, squares)
+    top, bottom_share = split((y - first) / stride, squares)
     # Unsigned, lest JAX looks for negative numbers, which count from the end.
-    corner = (top * width + left).astype(jnp.uint32)
+    return Places((top * squares + left).astype(jnp.uint32), right_share, bottom_share)
+
+
+def look_up(map_: Map, at: Places) -> Float[Array, "points 8"]:
+    """A map at points, bilinearly."""
+    squares = map_.reshape(-1, BINS)
+    right_share, bottom_share = at.right_share[:, None], at.bottom_share[:, None]
 
     def line(start: UInt[Array, "points"]) -> Float[Array, "points 8"]:
         before = squares.at[start].get(mode="promise_in_bounds")
         after = squares.at[start + jnp.uint32(1)].get(mode="promise_in_bounds")
         return before + right_share * (after - before)
 
-    upper, lower = line(corner), line(corner + jnp.uint32(width))
+    upper, lower = line(at.corner), line(at.corner + jnp.uint32(len(map_)))
     return upper + bottom_share * (lower - upper)
 
 

@@ -46,13 +46,17 @@ class Descriptor(Protocol):
         """What is computed once per face, whatever the number of landmarks, steps and initialisations."""
         ...
 
-    def describe(
-        self, prepared: Any, level: int, point: Point, side: Scalar, angle: Scalar
-    ) -> Float[Array, "cells bins"]:
-        """The histograms of one landmark at ``point``, in a window of ``side`` pixels.
+    def aim(self, prepared: Any, level: int, point: Point, side: Scalar, angle: Scalar) -> Any:
+        """Where `describe` looks for one landmark at ``point``, in a window of ``side`` pixels.
 
-        ``angle``, in radians, clockwise as seen, is that of the face; a window that does not turn ignores it.
+        ``angle``, in radians, clockwise as seen, is that of the face; a window that does not turn ignores it. Apart
+        from `describe`, as this is soonest done for all landmarks of a batch together, and that for one face after
+        the other.
         """
+        ...
+
+    def describe(self, prepared: Any, level: int, aim: Any, angle: Scalar) -> Float[Array, "cells bins"]:
+        """The histograms of one landmark."""
         ...
 
     def normalise(self, histograms: Float[Array, "cells bins"]) -> Features:
@@ -61,9 +65,10 @@ class Descriptor(Protocol):
 
 
 def describe_point(descriptor: Descriptor, prepared: Any, point: Point, side: Scalar, angle: Scalar) -> Features:
-    """The vector of one landmark, in a window of ``side`` pixels; arguments are those of `Descriptor.describe`."""
+    """The vector of one landmark of a face of scale 1; arguments are those of `Descriptor.aim`."""
 
     def at(level: int) -> Features:
-        return descriptor.normalise(descriptor.describe(prepared, level, point, side, angle))
+        aim = descriptor.aim(prepared, level, point, side, angle)
+        return descriptor.normalise(descriptor.describe(prepared, level, aim, angle))
 
     return lax.switch(descriptor.level(side), [partial(at, level) for level in range(descriptor.levels)])

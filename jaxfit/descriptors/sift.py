@@ -38,6 +38,13 @@ class Prepared(NamedTuple):
     packed: Packed
 
 
+class Aim(NamedTuple):
+    """A window in the crop."""
+
+    point: Point
+    side: Scalar
+
+
 @dataclass(frozen=True)
 class Sift:
     """Simplified SIFT; the defaults are what the cascade uses best, not what the thesis prints.
@@ -89,17 +96,19 @@ class Sift:
         smoothed = smooth(crop.astype(jnp.float32))
         return Prepared(smoothed, pack(smoothed))
 
-    def describe(
-        self, prepared: Prepared, level: int, point: Point, side: Scalar, angle: Scalar
-    ) -> Float[Array, "16 8"]:
-        """The histograms at ``point`` in a window of ``side`` pixels: 4 × 4 cells (rows first) × 8 bins.
+    def aim(self, prepared: Prepared, level: int, point: Point, side: Scalar, angle: Scalar) -> Aim:
+        """The middle and the side of the window."""
+        return Aim(point, side)
+
+    def describe(self, prepared: Prepared, level: int, aim: Aim, angle: Scalar) -> Float[Array, "16 8"]:
+        """The histograms in a window: 4 × 4 cells (rows first) × 8 bins.
 
         The 32 × 32 samples are spread over the window whatever its size, and differences are taken between
         neighbouring samples: a picture twice as large, in a window twice as large, has the same descriptor.
         """
-        spacing = side / SAMPLES
+        point, spacing = aim.point, aim.side / SAMPLES
         if self.turns:
-            turn = self.window_angle(prepared, point, side, angle)
+            turn = self.window_angle(prepared, point, aim.side, angle)
             window = rotated_window(prepared.packed, point, spacing, turn)
         else:
             window = upright_window(prepared.smoothed, point, spacing)

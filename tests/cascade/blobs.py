@@ -39,11 +39,13 @@ class Patch:
     def prepare(self, crop):
         return pack(smooth(crop.astype(jnp.float32)) / 255)
 
-    def describe(self, prepared, level, point, side, angle):
+    def aim(self, prepared, level, point, side, angle):
         line = side * jnp.linspace(-0.5, 0.5, self.samples)
         grid = jnp.stack(jnp.meshgrid(line, line), -1).reshape(-1, 2)
-        x, y = (rotate(grid, angle * self.turns) + point).T
-        return bilinear(prepared, x, y)[:, None]
+        return rotate(grid, angle * self.turns) + point
+
+    def describe(self, prepared, level, aim, angle):
+        return bilinear(prepared, *aim.T)[:, None]
 
     def normalise(self, histograms):
         return histograms.reshape(-1)
