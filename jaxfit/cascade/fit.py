@@ -9,7 +9,7 @@ from jax import lax, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
 
-from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -21,7 +21,6 @@ from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Point, Scalar
 # Few, as they wait for each other; several, as a single one does not fill the processor's vectors.
 _ALIGNED_AT_ONCE = 4
 _FAR = 1e4  # pixels, many crops
-_EXACT = lax.Precision.HIGHEST  # as in training, where later steps learned to follow these
 # Degrees: what several starts cover unless told otherwise. Faces upside down are left out, as in the thesis.
 ANY_ROTATION = (-90.0, 90.0)
 
@@ -118,16 +117,13 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> tuple[State, Stat
     descriptor, space = cascade.descriptor, cascade.space
     move = vmap(vmap(partial(advanced, descriptor, space)))
 
-    def step(states: State, layer: tuple[Array, Array, Array, Array | None]) -> tuple[State, State]:
-        weights, bias, window, directions = layer
-        features = features_of(descriptor, space, prepared, states, window)
+    def step(states: State, part: tuple[Regressor, Scalar]) -> tuple[State, State]:
+        regressor, window = part
         # All faces and starts at once, so that the weights, megabytes, are read once.
-        found = jnp.matmul(features, weights, precision=_EXACT)
-        found = found if directions is None else jnp.matmul(found, directions, precision=_EXACT)
-        states = move(states, found + bias)
+        states = move(states, regressor.predict(features_of(descriptor, space, prepared, states, window)))
         return states, states
 
-    return lax.scan(step, states, (cascade.weights, cascade.biases, cascade.windows, cascade.directions))
+    return lax.scan(step, states, (cascade.regressors, cascade.windows))
 
 
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:

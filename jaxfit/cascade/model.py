@@ -1,13 +1,38 @@
 """The parameters of a cascade, as one pytree with a leading step axis."""
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import jax
+from jax import lax
+from jax import numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.image.frame import Frame
 from jaxfit.shapes.space import ShapeSpace
+
+
+class Regressor(NamedTuple):
+    """The linear map of a step; or of several, in a leading axis.
+
+    Attributes:
+        weights: (F, P), or (F, R) where there are directions.
+        bias: (P,).
+        directions: (R, P) what the R outputs are steps along; None: the P parameters.
+    """
+
+    weights: Float[Array, "*steps features outputs"]
+    bias: Float[Array, "*steps params"]
+    directions: Float[Array, "*steps rank params"] | None
+
+    def predict(self, features: Float[Array, "*samples features"]) -> Float[Array, "*samples params"]:
+        """The steps that features ask for; as exact as float32 is, whatever the device, as later steps learn to follow
+        these."""
+        found = jnp.matmul(features, self.weights, precision=lax.Precision.HIGHEST)
+        if self.directions is not None:
+            found = jnp.matmul(found, self.directions, precision=lax.Precision.HIGHEST)
+        return found + self.bias
 
 
 @jax.tree_util.register_dataclass
@@ -32,6 +57,11 @@ class Cascade:
     descriptor: Descriptor = field(metadata={"static": True})
     frame: Frame = field(metadata={"static": True})
     directions: Float[Array, "steps rank params"] | None = None
+
+    @property
+    def regressors(self) -> Regressor:
+        """Those of all steps, in a leading axis."""
+        return Regressor(self.weights, self.biases, self.directions)
 
 
 def first_steps(cascade: Cascade, count: int) -> Cascade:

@@ -4,7 +4,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -13,7 +12,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
 from jaxfit.cascade.fit import State, advanced, features_of, state_of, step_to, target_of
-from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.regression import Moments, Projection, main_directions, principal_axes, solve
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
@@ -22,7 +21,7 @@ from jaxfit.shapes.space import ShapeSpace, Start
 from jaxfit.types import Point, Scalar
 
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
-_BATCH = 512
+_BATCH = 2048
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
 _PCA_SAMPLES = 3072
 
@@ -82,30 +81,15 @@ def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"
     return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
-class _Layer(NamedTuple):
-    """A regressor: weights (F, R) and bias (P,), and the directions (R, P) of its outputs; None if they are all."""
-
-    weights: Array
-    bias: Array
-    directions: Array | None
-
-
-def _predicted(features: Float[Array, "*samples features"], layer: _Layer) -> Float[Array, "*samples params"]:
-    found = jnp.matmul(features, layer.weights, precision=lax.Precision.HIGHEST)
-    if layer.directions is not None:
-        found = jnp.matmul(found, layer.directions, precision=lax.Precision.HIGHEST)
-    return found + layer.bias
-
-
-def _solved(moments: Moments, ridge: Scalar, rank: int | None) -> _Layer:
+def _solved(moments: Moments, ridge: Scalar, rank: int | None) -> Regressor:
     weights, bias = solve(moments, ridge)
     if rank is None or rank >= weights.shape[1]:
-        return _Layer(weights, bias, None)
+        return Regressor(weights, bias, None)
     directions = main_directions(moments, weights, rank)
     weights = jnp.matmul(weights, directions.T, precision=lax.Precision.HIGHEST)
-    alone = _Layer(weights, jnp.zeros_like(bias), directions)
+    alone = Regressor(weights, jnp.zeros_like(bias), directions)
     # Means stay what they are, however few the directions.
-    return alone._replace(bias=(moments.y - _predicted(moments.x, alone)) / moments.count)
+    return alone._replace(bias=(moments.y - alone.predict(moments.x)) / moments.count)
 
 
 @partial(jax.jit, static_argnames="descriptor")
@@ -160,7 +144,7 @@ def _observe(
     valid: Bool[Array, "faces"],
 ) -> tuple[Moments, Float[Array, "faces augmentations kept"]]:
     """The moments with a batch added, and the batch's principal components."""
-    reduced = (features - projection.mean) @ projection.axes
+    reduced = jnp.matmul(features - projection.mean, projection.axes, precision=lax.Precision.HIGHEST)
     weights = jnp.repeat(valid.astype(jnp.float32), reduced.shape[1])
     moments = moments.add(reduced.reshape(-1, reduced.shape[-1]), steps.reshape(-1, steps.shape[-1]), weights)
     return moments, reduced
@@ -177,13 +161,13 @@ def _advance(
 
 
 @jax.jit
-def _unfolded(projection: Projection, layer: _Layer) -> _Layer:
+def _unfolded(projection: Projection, regressor: Regressor) -> Regressor:
     """A regressor of principal components as one of the raw features, rounded to what model files store, so that saving
     changes nothing."""
-    weights = jnp.matmul(projection.axes, layer.weights, precision=lax.Precision.HIGHEST)
+    weights = jnp.matmul(projection.axes, regressor.weights, precision=lax.Precision.HIGHEST)
     weights = weights.astype(jnp.float16).astype(jnp.float32)
-    mean = _predicted(projection.mean, layer._replace(weights=weights, bias=jnp.zeros_like(layer.bias)))
-    return _Layer(weights, layer.bias - mean, layer.directions)
+    mean = regressor._replace(weights=weights, bias=jnp.zeros_like(regressor.bias)).predict(projection.mean)
+    return Regressor(weights, regressor.bias - mean, regressor.directions)
 
 
 def train_cascade(
@@ -242,7 +226,7 @@ def train_cascade(
     targets = _targets(descriptor, space, jnp.asarray(faces.landmarks, jnp.float32))
     states = np.empty((count, augmentations, space.size), np.float32)
     angles = np.empty((count, augmentations), np.float32)
-    layers = []
+    regressors = []
 
     def batches(stage: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Face numbers, and which of them do not merely fill the last batch."""
@@ -291,13 +275,13 @@ def train_cascade(
                 features = described(rows, window)
                 moments, reduced = _observe(projection, moments, features, steps, jnp.asarray(valid))
                 components.write(np.asarray(reduced).tobytes())
-            layer = _solved(moments, jnp.float32(ridge), rank)
-            layers.append(jax.tree.map(np.asarray, _unfolded(projection, layer)))
+            regressor = _solved(moments, jnp.float32(ridge), rank)
+            regressors.append(jax.tree.map(np.asarray, _unfolded(projection, regressor)))
             components.seek(0)
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
                 reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
-                put(rows, _advance(descriptor, space, taken(rows), _predicted(jnp.asarray(reduced), layer)))
-    stacked = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts)), *layers)
+                put(rows, _advance(descriptor, space, taken(rows), regressor.predict(jnp.asarray(reduced))))
+    stacked = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts)), *regressors)
     return Cascade(
         space=space,
         weights=stacked.weights,
