@@ -148,7 +148,7 @@ def _fits(
     problems: dict[int, str] = {}
     compute = _computing(model, way, count)
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
-    at_once = _at_once()
+    at_once = computed_at_once()
     computing: deque[tuple[list[CutFace], Future[dict[str, np.ndarray]]]] = deque()
 
     def computed(crops: np.ndarray) -> dict[str, np.ndarray]:
@@ -247,7 +247,7 @@ def batch_sizes() -> tuple[int, ...]:
     return BATCHES if several == 1 else (several * BATCHES[0], *BATCHES)
 
 
-def _at_once() -> int:
+def computed_at_once() -> int:
     """How many batches are computed at the same time.
 
     Much of a computation keeps to one core, so that each core has its own; an accelerator computes one while the next

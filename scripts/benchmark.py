@@ -11,6 +11,7 @@ import platform
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -32,19 +33,24 @@ from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS, nmed
 from jaxfit.evaluation.plots import new_figure
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, markdown_table, summary_row
 from jaxfit.exceptions import InputError
+from jaxfit.fitting import BATCHES
 from jaxfit.models.model import Model
 from jaxfit.shapes.schemes import Scheme
 
 HERE = Path(__file__).resolve().parent
 RIVAL = "dlib"
 STAGES_AT_ONCE = 256  # faces, at most
+FILES = 1024  # pictures that are read from disk, at most
+FIRSTS = 3  # processes whose first results are timed
 SPEED_COLUMNS = {
     "method": "",
     "processes": "d",
     "cores": "d",
     "faces/s": ".0f",
     "at batch": "d",
+    "from files/s": ".0f",
     "latency ms": ".2f",
+    "first s": ".2f",
     "load s": ".2f",
     "compile s": ".1f",
     "peak MiB": ".0f",
@@ -72,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     require_measurable(arguments)
     load_before = os.getloadavg()[0]
     folder = out_folder(arguments.out)
-    figure = new_figure(7.0, 4.5)  # without matplotlib it stops here, before the work
+    figure = new_figure(14.0, 4.5)  # without matplotlib it stops here, before the work
     models = {Path(name).stem: jaxfit.load(name) for name in arguments.models}
     if len(models) < len(arguments.models) or RIVAL in models:
         raise InputError(f"expected models of different names, none {RIVAL}; got {' '.join(arguments.models)}")
@@ -107,7 +113,7 @@ def run(arguments: argparse.Namespace) -> int:
         given = {name: save_faces(model, faces, boxes, files[name]) for name, model in models.items()}
         common = {"batches": arguments.batches, "repetitions": arguments.repetitions}
         rows: list[dict[str, Any]] = []
-        stages = []
+        stages, sizes = [], {}
         for cores in arguments.cores:
             for name, path in files.items():
                 job = {"measure": "jaxfit", "model": str(path), "faces": str(given[name]), **common}
@@ -117,9 +123,19 @@ def run(arguments: argparse.Namespace) -> int:
                 job = {"measure": "dlib", "model": str(path), "faces": str(given[next(iter(models))]), **common}
                 rows.append(speed(RIVAL, job, [1] * cores, path))
             stages.append(stage_table(list(files.values()), cores, arguments))
+        for name, path in files.items():
+            job = {"measure": "sizes", "model": str(path), "faces": str(given[name])}
+            job |= {"batch": BATCHES[0], "repetitions": arguments.repetitions}
+            print(f"{name}: fewer steps and landmarks …", file=sys.stderr, flush=True)
+            sizes[name] = measure(job, [max(arguments.cores)])[0]
 
     write_csv(folder / "benchmark.csv", CSV_COLUMNS, csv_rows(rows))
-    plot_speeds(figure, rows)
+    write_csv(
+        folder / "sizes.csv",
+        ["method", "size", "count", "faces/s"],
+        [[name, size, *each] for name, found in sizes.items() for size, rates in found.items() for each in rates],
+    )
+    plot_speeds(figure, rows, sizes)
     with atomic_write(folder / "throughput.png") as file:
         figure.savefig(file, format="png", dpi=150)
     text = "\n\n".join(
@@ -184,8 +200,18 @@ def save_faces(model: Model, faces: Sequence[FaceRecord], boxes: np.ndarray, pat
     rectangle = np.rint([*box[:2], *(box[:2] + box[2:])]).astype(int)
     picture = read_grey(faces[numbers[0]].image)
     sides = rectangles(crops, boxes[numbers])
-    path = path.with_suffix(".npz")
-    np.savez(path, crops=crops.pixels, rectangles=sides, picture=picture, box=box, rectangle=rectangle)
+    path, some = path.with_suffix(".npz"), numbers[:FILES]
+    np.savez(
+        path,
+        crops=crops.pixels,
+        rectangles=sides,
+        picture=picture,
+        box=box,
+        rectangle=rectangle,
+        paths=np.array([str(faces[number].image) for number in some]),
+        boxes=boxes[some],
+        in_pictures=np.rint(np.concatenate([boxes[some, :2], boxes[some, :2] + boxes[some, 2:]], 1)).astype(int),
+    )
     return path
 
 
@@ -209,13 +235,30 @@ def speed(name: str, job: dict[str, Any], cores: list[int], model: Path) -> dict
         "cores": sum(cores),
         "faces/s": best["faces/s"],
         "at batch": best["batch"],
+        "from files/s": sum(one["from files/s"] for one in found),
         "latency ms": float(np.mean([one["latency ms"] for one in found])),
+        "first s": first_result(job, cores[0]),
         "load s": max(one["load s"] for one in found),
         "compile s": found[0].get("compile s"),
         "peak MiB": sum(one["peak MiB"] for one in found),
         "model MB": model.stat().st_size / 1e6,
         "speeds": speeds,
     }
+
+
+def first_result(job: dict[str, Any], cores: int) -> float:
+    """Seconds from the start of a process to its first fit, when an earlier one has left what it compiled."""
+    job = {"measure": f"{job['measure']} first", "model": job["model"], "faces": job["faces"]}
+    times = []
+    with tempfile.TemporaryDirectory() as cache, kept_to(sorted(os.sched_getaffinity(0))[:cores]):
+        for _ in range(1 + FIRSTS):
+            command = [sys.executable, str(HERE / "benchmark_worker.py"), json.dumps(job | {"begin": time.time()})]
+            compiled = {**os.environ, "JAX_COMPILATION_CACHE_DIR": cache}
+            done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False, env=compiled)
+            if done.returncode:
+                raise SystemExit(f"failed: {' '.join(command)}")
+            times.append(json.loads(done.stdout))
+    return float(np.median(times[1:]))
 
 
 def measure(job: dict[str, Any], cores: list[int]) -> list[dict[str, Any]]:
@@ -280,9 +323,11 @@ def csv_rows(rows: Sequence[dict[str, Any]]) -> Iterator[list[object]]:
             yield ["" if values[name] is None else values[name] for name in CSV_COLUMNS]
 
 
-def plot_speeds(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
-    """Throughput against batch size; methods that know no batches are level, dashed lines."""
-    ax = figure.subplots()
+def plot_speeds(
+    figure: Any, rows: Sequence[dict[str, Any]], sizes: dict[str, dict[str, list[tuple[int, float]]]]
+) -> None:
+    """Throughput against batch size, where methods that know no batches are level, dashed lines; steps; landmarks."""
+    ax, *others = figure.subplots(1, 3)
     for row in rows:
         label = f"{row['method']}, {workplace(row)}"
         batches = [each["batch"] for each in row["speeds"]]
@@ -294,9 +339,17 @@ def plot_speeds(figure: Any, rows: Sequence[dict[str, Any]]) -> None:
             ax.set_xscale("log", base=2)
             ax.set_xticks(batches, list(map(str, batches)))
     ax.set_ylim(bottom=0)
-    ax.set(xlabel="faces at once", ylabel="faces/s")
-    ax.grid(alpha=0.3)
+    ax.set(xlabel="faces in a batch", ylabel="faces/s")
     ax.legend()
+    for other, size in zip(others, ("steps", "landmarks"), strict=True):
+        for name, found in sizes.items():
+            if rates := found.get(size):
+                other.plot(*zip(*rates, strict=True), marker="o", label=f"{name}, batches of {BATCHES[0]}")
+        other.set_ylim(bottom=0)
+        other.set(xlabel=size, ylabel="faces/s")
+        other.legend()
+    for each in (ax, *others):
+        each.grid(alpha=0.3)
 
 
 def workplace(row: dict[str, Any]) -> str:
@@ -317,9 +370,12 @@ def speed_tables(rows: Sequence[dict[str, Any]], missing: str, model: Model) -> 
                 at_batch[f"{row['method']}, {workplace(row)}"] = each["faces/s"]
     columns = dict.fromkeys((name for at_batch in by_batch.values() for name in at_batch), ".0f")
     return [
-        "faces/s: from uint8 grey crops to landmarks in their pixels (`jaxfit.fit_crops`), at the best batch. Latency: "
-        "one face of a picture that has been read (`jaxfit.fit`). Compile: `jaxfit.warm_up` in a fresh process, with "
-        "nothing kept from earlier ones; peak memory is that of a process that does this and fits single faces. "
+        "faces/s: from uint8 grey crops to landmarks in their pixels (`jaxfit.fit_crops`, as many batches at the same "
+        "time as `jaxfit.fit` computes), at the best batch. From files: `jaxfit.fit` of pictures on disk, which the "
+        "system has read before, and boxes. Latency: one face of a picture that has been read (`jaxfit.fit`). First: "
+        "from the start of a process to its first fit, all imports included, with JAX's cache of what earlier ones "
+        "compiled. Compile: `jaxfit.warm_up` in a fresh process, with nothing kept from earlier ones; peak memory is "
+        "that of a process that does this and fits single faces. "
         f"dlib gets the same faces one by one: the {frame.crop} × {frame.crop} crops of the first model with the box, "
         "in whole pixels, that the crop was cut for; its points are not read into arrays. Its binding keeps to one "
         "core, so that more cores have a process each, which work at once: rates and memory are their sums.",

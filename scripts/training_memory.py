@@ -1,4 +1,7 @@
-"""Peak memory and time of ``jaxfit train`` against the number of augmentations, one process each, as a table."""
+"""Peak memory and time of ``jaxfit train`` against the number of augmentations, one process each, as a table.
+
+Options that are not this script's own go to ``jaxfit train``.
+"""
 
 import argparse
 import os
@@ -13,12 +16,11 @@ from jaxfit.evaluation.tables import markdown_table
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_datasets(parser)
-    parser.add_argument("--augmentations", type=int, nargs="+", default=[5, 10, 20])
-    parser.add_argument("--windows", nargs="+", default=["0.45", "0.2"])
-    arguments = parser.parse_args()
-    rows = [measure(arguments, count) for count in arguments.augmentations]
+    parser.add_argument("--augmentations", type=int, nargs="+", default=[5, 10, 20, 40])
+    arguments, others = parser.parse_known_args()
+    rows = [measure(arguments.data, count, others) for count in arguments.augmentations]
     least = min(row["peak MiB"] for row in rows)
     for row in rows:
         row["against the least"] = row["peak MiB"] / least - 1
@@ -27,11 +29,10 @@ def main() -> None:
     )
 
 
-def measure(arguments: argparse.Namespace, augmentations: int) -> dict[str, float]:
+def measure(data: list[str], augmentations: int, others: list[str]) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "jaxfit.cli.main", "train", "--data", *arguments.data]
-        command += ["--windows", *arguments.windows, "--augmentations", str(augmentations), "--no-haar"]
-        command += ["--out", str(Path(folder) / "model.safetensors")]
+        command = [sys.executable, "-m", "jaxfit.cli.main", "train", "--data", *data, "--no-haar"]
+        command += ["--augmentations", str(augmentations), "--out", str(Path(folder) / "model.safetensors"), *others]
         begin = time.perf_counter()
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         _, status, usage = os.wait4(process.pid, 0)

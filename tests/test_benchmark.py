@@ -139,7 +139,7 @@ def test_a_run_measures_speed_memory_and_size(benchmark, model) -> None:
     (row,) = [row for row in speeds if row["method"] == "heads"]
     assert (row["processes"], row["cores"]) == ("1", "1")
     assert int(row["at batch"]) in BATCHES
-    numbers = {"faces/s", "latency ms", "compile s", "peak MiB", "model MB"}
+    numbers = {"faces/s", "from files/s", "latency ms", "first s", "compile s", "peak MiB", "model MB"}
     assert all(is_positive(row[name]) for name in numbers)
     assert float(row["model MB"]) == round(model.stat().st_size / 1e6, 1)
     assert [int(row["batch"]) for row in by_batch] == BATCHES
@@ -149,6 +149,11 @@ def test_a_run_measures_speed_memory_and_size(benchmark, model) -> None:
     assert [int(row["batch"]) for row in rows] == BATCHES
     assert all(is_positive(row[name]) for row in rows for name in [*numbers, "load s"])
     assert float(rows[0]["peak MiB"]) <= float(rows[1]["peak MiB"])
+    with open(benchmark / "sizes.csv", encoding="utf-8", newline="") as file:
+        sizes = [row for row in csv.DictReader(file) if row["method"] == "heads"]
+    assert [int(row["count"]) for row in sizes if row["size"] == "steps"] == list(range(1, STEPS + 1))
+    assert [int(row["count"]) for row in sizes if row["size"] == "landmarks"][-1] == AFLW21.count
+    assert all(is_positive(row["faces/s"]) for row in sizes)
     assert (benchmark / "throughput.png").read_bytes().startswith(b"\x89PNG")
     text = (benchmark / "benchmark.md").read_text(encoding="utf-8")
     assert f"jaxfit {jaxfit.__version__}, jax {jax.__version__}" in text
@@ -176,7 +181,8 @@ def test_a_run_measures_stages_beside_the_machine(benchmark) -> None:
 def test_dlib_is_measured_on_the_same_faces(rival, benchmark, predictor, parts) -> None:
     speeds, _, errors, against = tables(benchmark)[:4]
     (row,) = [row for row in speeds if row["method"] == "dlib"]
-    assert all(is_positive(row[name]) for name in ("faces/s", "latency ms", "peak MiB", "model MB"))
+    numbers = ("faces/s", "from files/s", "latency ms", "first s", "peak MiB", "model MB")
+    assert all(is_positive(row[name]) for name in numbers)
     assert (row["at batch"], row["compile s"]) == ("-", "-")
     (row,) = [row for row in errors if row["method"] == "dlib"]
     assert (row["faces"], row["no fit"]) == (str(len(parts["test"].faces)), "0")
