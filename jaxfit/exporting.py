@@ -15,7 +15,7 @@ from jax import export
 from numpy.typing import ArrayLike
 from safetensors.numpy import load as parse_tensors
 
-from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotations
+from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.data.placements import Placement
 from jaxfit.exceptions import InputError, ModelError
 from jaxfit.fitting import BATCHES
@@ -164,9 +164,7 @@ def _program(model: Model, turns: jax.Array, tensors: dict[str, np.ndarray], siz
 
     def fit(crops: jax.Array, arrays: dict[str, jax.Array]) -> dict[str, jax.Array]:
         parts = jax.tree.unflatten(structure, [arrays[name] for name in names])
-        if model.solid is None:
-            return {"landmarks": fit_crops(parts["cascade"], crops, turns)}
-        return fit_heads(parts["cascade"], crops, turns, parts["head"])._asdict()
+        return find(parts["cascade"], parts["head"], crops, turns)
 
     side = model.cascade.frame.crop
     # Arguments, and not constants of the programs: the file then holds them once, as float16, and not for each size.

@@ -14,7 +14,7 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
-from jaxfit.cascade.fit import ANY_ROTATION, fit_crops, fit_heads, start_rotations
+from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.cascade.model import Cascade
 from jaxfit.cropping import CutFace, Images, Read, cores, cut_faces
 from jaxfit.data.crops import to_image
@@ -298,9 +298,7 @@ def _found(
     """What is found in crops; by each device of the mesh in its share of them."""
 
     def of_share(cascade: Cascade, head: CameraASM | None, turns: jax.Array | None, crops: jax.Array) -> dict:
-        if head is None and not isinstance(cascade.space, CameraASM):
-            return {"landmarks": fit_crops(cascade, crops, turns, every_step)}
-        return fit_heads(cascade, crops, turns, head, refine, every_step)._asdict()
+        return find(cascade, head, crops, turns, refine, every_step)
 
     if mesh is not None:
         everything, faces = PartitionSpec(), PartitionSpec("faces")

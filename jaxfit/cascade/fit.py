@@ -1,7 +1,7 @@
 """Running a cascade: one face from one start; then a batch of crops, each from one or several starts."""
 
 from functools import partial
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -243,6 +243,25 @@ def fit_crops(
     return (vmap(landmarks) if every_step else landmarks)(_best(cascade, crops, rotations, every_step))
 
 
+def solid_of(cascade: Cascade, head: CameraASM | None) -> CameraASM | None:
+    """The shape space of the 3D results of a cascade and of what is aligned to its landmarks; None: there are none."""
+    return cascade.space if head is None and isinstance(cascade.space, CameraASM) else head
+
+
+def find(
+    cascade: Cascade,
+    head: CameraASM | None,
+    crops: UInt8[Array, "faces height width"],
+    rotations: Float[Array, "starts"] | None = None,
+    refine: bool = False,
+    every_step: bool = False,
+) -> dict[str, Array]:
+    """All that a model finds in a batch of crops, by its name in `Heads`: the landmarks alone where nothing is 3D."""
+    if solid_of(cascade, head) is None:
+        return {"landmarks": fit_crops(cascade, crops, rotations, every_step)}
+    return fit_heads(cascade, crops, rotations, head, refine, every_step)._asdict()
+
+
 class Heads(NamedTuple):
     """Faces in 3D, in pixels; a leading axis of faces.
 
@@ -285,12 +304,11 @@ def fit_heads(
     Raises:
         InputError: crops of another size, no rotations, a 2D cascade without a head, or nothing to refine.
     """
-    space = cascade.space
+    space, solid = cascade.space, solid_of(cascade, head)
     if refine and head is None:
         raise InputError("expected a 3D shape model that is aligned to landmarks: only alignments can be refined")
-    if head is None and not isinstance(space, CameraASM):
+    if solid is None:
         raise InputError("expected a cascade of 3D regression, or a 3D shape model to align to a 2D one's landmarks")
-    solid = cast(CameraASM, space if head is None else head)
 
     def heads(state: State) -> Heads:
         landmarks = landmarks_of(space, state)

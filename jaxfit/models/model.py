@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxfit.cascade.fit import solid_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.data.placements import Placement
 from jaxfit.exceptions import InputError
@@ -37,8 +38,7 @@ class Model:
     @property
     def solid(self) -> CameraASM | None:
         """The shape space of the model's 3D results; None if it has none."""
-        space = self.cascade.space
-        return space if self.head is None and isinstance(space, CameraASM) else self.head
+        return solid_of(self.cascade, self.head)
 
     def placement(self, kind: str) -> Placement:
         """Where faces lie in boxes of a kind.
