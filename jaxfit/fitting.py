@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
@@ -27,6 +26,9 @@ from jaxfit.shapes.camera_asm import CameraASM
 # devices, one more: batches of the first size for each of them, all at once.
 BATCHES = (64, 8, 1)
 _MOST_AT_ONCE = 8  # each holds a batch and its descriptors
+
+
+_Found = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -149,9 +151,9 @@ def _fits(
     compute = _computing(model, way, count)
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
     at_once = computed_at_once()
-    computing: deque[tuple[list[CutFace], Future[dict[str, np.ndarray]]]] = deque()
+    computing: deque[tuple[list[CutFace], Future[_Found]]] = deque()
 
-    def computed(crops: np.ndarray) -> dict[str, np.ndarray]:
+    def computed(crops: np.ndarray) -> _Found:
         with jax.default_device(device):
             return {name: np.asarray(of) for name, of in compute(crops).items()}
 
@@ -167,13 +169,19 @@ def _fits(
             if len(computing) == at_once:
                 keep()
             progress("fitting", batch[0].number, count)
-            computing.append(
-                (batch, pool.submit(computed, np.stack([face.crop.pixels for face in batch if face.crop])))
-            )
+            crops = np.stack([face.crop.pixels for face in batch if face.crop])
+            computing.append((batch, _done(computed, crops) if count == 1 else pool.submit(computed, crops)))
         while computing:
             keep()
     progress("fitting", count, count)
     return [replace(each, problems=dict(sorted((problems | each.problems).items()))) for each in fits]
+
+
+def _done(work: Callable[[np.ndarray], _Found], crops: np.ndarray) -> Future[_Found]:
+    """As if a thread had done it; for a single face it would take as long again to wake one."""
+    future: Future[_Found] = Future()
+    future.set_result(work(crops))
+    return future
 
 
 def _batches(faces: Iterator[CutFace], problems: dict[int, str]) -> Iterator[list[CutFace]]:
@@ -272,7 +280,7 @@ def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], di
     """
     parts = model.cascade, model.head
     if len(jax.local_devices()) == 1 or count < batch_sizes()[0]:
-        return lambda crops: _found(*parts, jnp.asarray(crops), *way, None)
+        return lambda crops: _found(*parts, crops, *way, None)
     mesh = _mesh()
     everywhere = jax.device_put(parts, NamedSharding(mesh, PartitionSpec()))
     of_each = NamedSharding(mesh, PartitionSpec("faces"))
@@ -280,7 +288,7 @@ def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], di
     def compute(crops: np.ndarray) -> dict[str, jax.Array]:
         if len(crops) > BATCHES[0]:
             return _found(*everywhere, jax.device_put(crops, of_each), *way, mesh)
-        return _found(*parts, jnp.asarray(crops), *way, None)
+        return _found(*parts, crops, *way, None)
 
     return compute
 

@@ -158,7 +158,8 @@ def start_rotations(initialisations: int, rotations: tuple[float, float]) -> Flo
     full_circle = high - low == 360  # both ends are the same
     several = np.linspace(low, high, initialisations, endpoint=not full_circle)
     degrees = [(low + high) / 2] if initialisations == 1 else several
-    return jnp.asarray(np.radians(degrees), jnp.float32)
+    # Converted here, as on a device it would be a computation of its own.
+    return jnp.asarray(np.radians(degrees).astype(np.float32))
 
 
 def check_rotations(initialisations: int, rotations: tuple[float, float]) -> None:

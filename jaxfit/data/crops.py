@@ -3,7 +3,6 @@
 A crop is an axis-aligned, evenly scaled part of its image: image point = ``scale`` · crop point + ``offset``.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,9 +12,8 @@ import numpy as np
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
 
-# Samples per crop pixel and axis when shrinking: enough against aliasing, and it bounds the work on huge pictures.
-_MOST_SAMPLES = 8
-_LONGEST = 32_000  # pixels; OpenCV cannot warp pictures with sides from 32,767, such as panoramas
+# Picture pixels a crop pixel up to which a bilinear sample stands for all of them.
+_ONE_SAMPLE = 1.5
 
 
 class Crop(NamedTuple):
@@ -78,7 +76,7 @@ def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, ro
 def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame) -> Crop:
     """The crop of a grey picture, uint8 (H, W), that shows a face at the frame's size in its middle.
 
-    Beyond the picture its edge pixels are repeated. The work depends on the crop's size only, not on the picture's.
+    Beyond the picture its edge pixels are repeated.
 
     Args:
         grey: (H, W) uint8.
@@ -93,19 +91,20 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
         raise InputError(f"expected a finite centre and a positive face side; got {centre} and {face_side}")
     scale = float(face_side) / frame.face
     offset = np.asarray(centre, np.float64) - scale * frame.middle
-    part, corner, stride = _around(grey, offset, scale, frame.crop)
-    # When shrinking, each crop pixel is the mean of n × n bilinear samples spread evenly over its area.
-    samples = min(max(math.ceil(scale), 1), _MOST_SAMPLES)
+    part, corner, blocks = _shrunk(grey, offset, scale, frame.crop)
+    # Left to shrink is less than twofold: a bilinear sample a crop pixel, or four where one would miss much.
+    samples = 2 if scale / max(1, int(scale)) > _ONE_SAMPLE else 1
     step = scale / samples
-    start = (offset - corner + (step - scale) / 2) / stride
-    dense = cv2.warpAffine(
+    start = (offset - corner + (step - scale) / 2 - (blocks - 1) / 2) / blocks
+    pixels = cv2.warpAffine(
         part,
-        np.array([[step / stride, 0, start[0]], [0, step / stride, start[1]]]),
+        np.array([[step / blocks[0], 0, start[0]], [0, step / blocks[1], start[1]]]),
         (frame.crop * samples, frame.crop * samples),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    pixels = cv2.resize(dense, (frame.crop, frame.crop), interpolation=cv2.INTER_AREA)
+    if samples > 1:
+        pixels = cv2.resize(pixels, (frame.crop, frame.crop), interpolation=cv2.INTER_AREA)
     return Crop(pixels, scale, offset)
 
 
@@ -119,13 +118,24 @@ def to_crop(points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray) -
     return (points - offset) / scale
 
 
-def _around(grey: np.ndarray, offset: np.ndarray, scale: float, crop: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """The part of the picture under the crop, at least a pixel of it, and the (2,) point of the part's first pixel.
+def _shrunk(grey: np.ndarray, offset: np.ndarray, scale: float, crop: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The part of the picture under the crop, at least a pixel of it, shrunk as far as whole pixels allow.
 
-    Of a part too long for OpenCV only every n-th row and column is taken; n, mostly 1, comes last.
+    Returns:
+        The means of its blocks of pixels; the (2,) point of the part's first pixel; and the blocks' sides, x and y.
     """
     last = np.array([grey.shape[1] - 1, grey.shape[0] - 1])
-    low = np.clip(np.floor(offset - scale), 0, last).astype(int)
-    high = np.clip(np.ceil(offset + scale * crop) + 1, 0, last).astype(int)
-    stride = math.ceil((high - low + 1).max() / _LONGEST)
-    return grey[low[1] : high[1] + 1 : stride, low[0] : high[0] + 1 : stride], low, stride
+    first_wanted, last_wanted = np.floor(offset - scale), np.ceil(offset + scale * (crop + 1)) + 1
+    low, high = (np.clip(wanted, 0, last).astype(int) for wanted in (first_wanted, last_wanted))
+    part = grey[low[1] : high[1] + 1, low[0] : high[0] + 1]
+    # A part that is not as long as a block is left as it is.
+    size, block = high - low + 1, max(1, int(scale))
+    blocks = np.where(size < block, 1, block)
+    if block > 1:
+        # Where the picture ends its edge goes on for the rest of a block and one more.
+        before, after = blocks * (first_wanted < 0), -size % blocks + blocks * (last_wanted > last)
+        (left, top), (right, bottom) = before.tolist(), after.tolist()
+        part = cv2.copyMakeBorder(part, top, bottom, left, right, cv2.BORDER_REPLICATE)
+        low, size = low - before, (size + before + after) // blocks
+        part = cv2.resize(part, (int(size[0]), int(size[1])), interpolation=cv2.INTER_AREA)
+    return part, low, blocks
