@@ -21,7 +21,7 @@ import numpy as np
 
 import jaxfit
 from jaxfit.cascade.fit import State, advanced, features_of, fit_crops, starts_of, state_of
-from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cli.main import exit_code
 from jaxfit.descriptors import dense, sift
 from jaxfit.descriptors.descriptor import Descriptor
@@ -88,7 +88,7 @@ def stages(cascade: Cascade, faces: int, seconds: Callable[..., float]) -> list[
     one = jax.vmap(lambda start: state_of(descriptor, space, space.place(start)))(starts)
     states = jax.tree.map(lambda part: jnp.broadcast_to(part, (faces, *part.shape)), one)
     steps = len(cascade.windows)
-    landmarks = cascade.weights.shape[1] // descriptor.size
+    landmarks = len(cascade.weights[0]) // descriptor.size
 
     prepare = jax.jit(jax.vmap(descriptor.prepare))
     prepared = prepare(crops)
@@ -98,35 +98,32 @@ def stages(cascade: Cascade, faces: int, seconds: Callable[..., float]) -> list[
         return features_of(descriptor, space, prepared, states, window)
 
     @jax.jit
-    def regress(features: jax.Array, layers: tuple[jax.Array, jax.Array | None]) -> jax.Array:
-        def of_step(layer: tuple[jax.Array, jax.Array | None]) -> jax.Array:
-            weights, directions = layer
-            return features @ weights if directions is None else features @ weights @ directions
-
+    def regress(features: jax.Array, regressors: list[Regressor]) -> list[jax.Array]:
         # All steps, lest the weights of a single one stay in the cache.
-        return jax.lax.map(of_step, layers)
+        return [regressor.predict(features) for regressor in regressors]
 
     @jax.jit
     def move(states: State, step: jax.Array) -> State:
         return jax.vmap(jax.vmap(partial(advanced, descriptor, space)))(states, step)
 
-    layers = (cascade.weights, cascade.directions)
+    directions = [None] * steps if cascade.directions is None else cascade.directions
+    regressors = [Regressor(*parts) for parts in zip(cascade.weights, cascade.biases, directions, strict=True)]
     features = describe(prepared, states, cascade.windows[0])
-    found = regress(features, layers)
-    numbers = sum(leaf.size for leaf in jax.tree.leaves(layers))
+    found = regress(features, regressors)
+    numbers = sum(leaf.size for leaf in jax.tree.leaves(regressors))
 
     whole = seconds(fit_crops, cascade, crops)
     took = {
         "maps": seconds(prepare, crops),
         # Each step has its own window, and windows of other sizes are looked up in other places.
         "describing": sum(seconds(describe, prepared, states, window) for window in cascade.windows),
-        "linear map": seconds(regress, features, layers),
+        "linear map": seconds(regress, features, regressors),
         "moving": seconds(move, states, found[0]) * steps,
     }
     moved = {
         "maps": crops.nbytes + sum(leaf.nbytes for leaf in jax.tree.leaves(prepared)),
         "describing": steps * faces * landmarks * (looked_up(descriptor) + descriptor.size) * FLOAT,
-        "linear map": (steps * features.size + numbers + found.size) * FLOAT,
+        "linear map": (steps * (features.size + found[0].size) + numbers) * FLOAT,
     }
     rows = []
     for stage, duration in took.items():

@@ -93,12 +93,13 @@ def first_landmarks(cascade: Any, count: int) -> Any:
     from jaxfit.shapes.points import PointSpace
 
     space, directions = PointSpace(cascade.space.mean[:count]), cascade.directions
-    weights = cascade.weights[:, : count * cascade.descriptor.size]
+    weights = [of_step[: count * cascade.descriptor.size] for of_step in cascade.weights]
     if directions is None:
-        weights = weights[..., : space.size]
+        weights = [of_step[:, : space.size] for of_step in weights]
     else:
         directions = directions[..., : space.size]
-    return replace(cascade, space=space, weights=weights, biases=cascade.biases[:, : space.size], directions=directions)
+    biases = cascade.biases[:, : space.size]
+    return replace(cascade, space=space, weights=tuple(weights), biases=biases, directions=directions)
 
 
 def jaxfit_first(model: str, faces: str, begin: float) -> float:

@@ -86,7 +86,7 @@ def model(parts, tmp_path_factory) -> Path:
     shape = (STEPS, AFLW21.count * descriptor.size, space.size)
     cascade = Cascade(
         space=space,
-        weights=jnp.asarray(np.random.default_rng(0).normal(0, 0.1, shape), jnp.float32),
+        weights=tuple(jnp.asarray(np.random.default_rng(0).normal(0, 0.1, shape), jnp.float32)),
         biases=jnp.zeros((STEPS, space.size)),
         windows=jnp.asarray([0.6, 0.3]) * FRAME.face,
         descriptor=descriptor,

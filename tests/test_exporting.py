@@ -54,7 +54,7 @@ def cascade_on(space, descriptor, rank=None) -> Cascade:
     directions = None if rank is None else jnp.asarray(rng.normal(size=(2, rank, space.size)), jnp.float32)
     return Cascade(
         space=space,
-        weights=jnp.asarray(weights, jnp.float32),
+        weights=tuple(jnp.asarray(weights, jnp.float32)),
         biases=jnp.asarray(rng.normal(0, 0.02, (2, space.size)), jnp.float32),
         windows=jnp.array([14.0, 9.0]),
         descriptor=descriptor,
@@ -350,7 +350,7 @@ def test_what_cannot_be_exported_leaves_no_file(tmp_path: Path, monkeypatch) -> 
     target = tmp_path / "a.safetensors"
     with pytest.raises(jaxfit.InputError, match="expected one initialisation or at least three"):
         jaxfit.export_model(model, target, 2)
-    large = replace(model, cascade=replace(model.cascade, weights=1e6 * model.cascade.weights))
+    large = replace(model, cascade=replace(model.cascade, weights=tuple(1e6 * each for each in model.cascade.weights)))
     with pytest.raises(jaxfit.InputError, match="weights: not finite, or too large for float16"):
         jaxfit.export_model(large, target)
 

@@ -117,13 +117,16 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> tuple[State, Stat
     descriptor, space = cascade.descriptor, cascade.space
     move = vmap(vmap(partial(advanced, descriptor, space)))
 
-    def step(states: State, part: tuple[Regressor, Scalar]) -> tuple[State, State]:
-        regressor, window = part
+    def step(states: State, part: tuple[Array, Array, Array | None, Scalar]) -> tuple[State, State]:
+        number, bias, directions, window = part
+        features = features_of(descriptor, space, prepared, states, window)
+        regressors = [Regressor(weights, bias, directions) for weights in cascade.weights]
         # All faces and starts at once, so that the weights, megabytes, are read once.
-        states = move(states, regressor.predict(features_of(descriptor, space, prepared, states, window)))
+        states = move(states, lax.switch(number, [regressor.predict for regressor in regressors], features))
         return states, states
 
-    return lax.scan(step, states, (cascade.regressors, cascade.windows))
+    numbers = jnp.arange(len(cascade.weights))
+    return lax.scan(step, states, (numbers, cascade.biases, cascade.directions, cascade.windows))
 
 
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:

@@ -14,7 +14,7 @@ from jaxfit.shapes.space import ShapeSpace
 
 
 class Regressor(NamedTuple):
-    """The linear map of a step; or of several, in a leading axis.
+    """The linear map of a step.
 
     Attributes:
         weights: (F, P), or (F, R) where there are directions.
@@ -22,9 +22,9 @@ class Regressor(NamedTuple):
         directions: (R, P) what the R outputs are steps along; None: the P parameters.
     """
 
-    weights: Float[Array, "*steps features outputs"]
-    bias: Float[Array, "*steps params"]
-    directions: Float[Array, "*steps rank params"] | None
+    weights: Float[Array, "features outputs"]
+    bias: Float[Array, "params"]
+    directions: Float[Array, "rank params"] | None
 
     def predict(self, features: Float[Array, "*samples features"]) -> Float[Array, "*samples params"]:
         """The steps that features ask for; as exact as float32 is, whatever the device, as later steps learn to follow
@@ -42,7 +42,8 @@ class Cascade:
 
     Attributes:
         space: the shape space that the regressors work in.
-        weights: (S, F, P) regressors, one a step, the PCA folded in; (S, F, R) where there are directions.
+        weights: S arrays (F, P), the regressors, one a step, the PCA folded in; (F, R) where there are directions. They
+            are arrays of their own, as XLA would copy a part of a larger one, some megabytes, before each use.
         biases: (S, P) their intercepts.
         windows: (S,) side of the descriptor window of each step in pixels of a face of scale 1.
         descriptor: what is seen at a landmark (static).
@@ -51,17 +52,12 @@ class Cascade:
     """
 
     space: ShapeSpace
-    weights: Float[Array, "steps features outputs"]
+    weights: tuple[Float[Array, "features outputs"], ...]
     biases: Float[Array, "steps params"]
     windows: Float[Array, "steps"]
     descriptor: Descriptor = field(metadata={"static": True})
     frame: Frame = field(metadata={"static": True})
     directions: Float[Array, "steps rank params"] | None = None
-
-    @property
-    def regressors(self) -> Regressor:
-        """Those of all steps, in a leading axis."""
-        return Regressor(self.weights, self.biases, self.directions)
 
 
 def first_steps(cascade: Cascade, count: int) -> Cascade:

@@ -281,13 +281,13 @@ def train_cascade(
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
                 reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
                 put(rows, _advance(descriptor, space, taken(rows), regressor.predict(jnp.asarray(reduced))))
-    stacked = jax.tree.map(lambda *parts: jnp.asarray(np.stack(parts)), *regressors)
+    directions = [each.directions for each in regressors if each.directions is not None]
     return Cascade(
         space=space,
-        weights=stacked.weights,
-        biases=stacked.bias,
+        weights=tuple(jnp.asarray(each.weights) for each in regressors),
+        biases=jnp.asarray(np.stack([each.bias for each in regressors])),
         windows=jnp.asarray(windows, jnp.float32) * frame.face,
         descriptor=descriptor,
         frame=frame,
-        directions=stacked.directions,
+        directions=jnp.asarray(np.stack(directions)) if directions else None,
     )

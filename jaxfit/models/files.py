@@ -9,7 +9,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from safetensors import SafetensorError
 from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as pack_tensors
@@ -97,7 +96,7 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
     """
     cascade = model.cascade
     tensors: dict[str, np.ndarray] = {
-        "weights": _half(cascade.weights),
+        "weights": _half(np.stack(cascade.weights)),
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
         **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
@@ -227,7 +226,7 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
         raise ModelError("damaged: descriptor windows must be larger than 0")
     return Cascade(
         space=space,
-        weights=jnp.asarray(tensors["weights"], jnp.float32),
+        weights=tuple(jnp.asarray(of_step, jnp.float32) for of_step in tensors["weights"]),
         biases=jnp.asarray(tensors["biases"], jnp.float32),
         windows=jnp.asarray(tensors["windows"], jnp.float32),
         descriptor=descriptor,
@@ -264,9 +263,9 @@ def _assembled(name: str, kind: Any, tensors: dict[str, np.ndarray], sizes: dict
     return jnp.asarray(tensors[name], jnp.float32)
 
 
-def _half(weights: Array) -> np.ndarray:
+def _half(weights: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):  # infinities are refused with a message of ours
-        return np.asarray(weights).astype(np.float16)
+        return weights.astype(np.float16)
 
 
 def _placement(values: dict[str, Any]) -> Placement:

@@ -44,7 +44,7 @@ def model(seed=0, scheme="points2"):
     weights = (0.1 * rng.normal(size=(2, count * 128, 2 * count))).astype(np.float16)
     cascade = Cascade(
         space=PointSpace(jnp.asarray(rng.normal(0, 8, (count, 2)), jnp.float32)),
-        weights=jnp.asarray(weights, jnp.float32),
+        weights=tuple(jnp.asarray(weights, jnp.float32)),
         biases=jnp.asarray(rng.normal(size=(2, 2 * count)), jnp.float32),
         windows=jnp.array([14.0, 9.0]),
         descriptor=Sift("principal", "vector"),
@@ -65,7 +65,7 @@ def parametric_model():
     cascade = replace(
         points.cascade,
         space=SimilarityASM(shapes, jnp.float32(4.5)),
-        weights=jnp.asarray(rng.normal(size=(2, 256, 8)).astype(np.float16), jnp.float32),
+        weights=tuple(jnp.asarray(rng.normal(size=(2, 256, 8)).astype(np.float16), jnp.float32)),
         biases=jnp.asarray(rng.normal(size=(2, 8)), jnp.float32),
         descriptor=Sift("face", "cell"),
     )
@@ -91,7 +91,7 @@ def regression_model():
     cascade = replace(
         points.cascade,
         space=head(),
-        weights=jnp.asarray(rng.normal(size=(2, 256, 9)).astype(np.float16), jnp.float32),
+        weights=tuple(jnp.asarray(rng.normal(size=(2, 256, 9)).astype(np.float16), jnp.float32)),
         biases=jnp.asarray(rng.normal(size=(2, 9)), jnp.float32),
     )
     return replace(points, cascade=cascade)
@@ -102,7 +102,7 @@ def narrow_model():
     points, rng = model(), np.random.default_rng(4)
     cascade = replace(
         points.cascade,
-        weights=jnp.asarray(rng.normal(size=(2, 256, 1)).astype(np.float16), jnp.float32),
+        weights=tuple(jnp.asarray(rng.normal(size=(2, 256, 1)).astype(np.float16), jnp.float32)),
         directions=jnp.asarray(rng.normal(size=(2, 1, 4)), jnp.float32),
         descriptor=Dense("face"),
     )
