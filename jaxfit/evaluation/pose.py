@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
-from scipy.spatial.transform import Rotation
+import scipy
 
 from jaxfit.evaluation.statistics import Subjects, finite_or_none, summarise
 from jaxfit.evaluation.tables import comparison_row, markdown_table
@@ -53,7 +52,7 @@ def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
     if len(rows):
         roll, pitch, yaw = poses[rows].T
         # About axes that turn with the head; y is down, so that looking up turns against the axis.
-        turns = Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
+        turns = scipy.spatial.transform.Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
         pitch, yaw, roll = turns.as_euler("XYZ", degrees=True).T * [[-1], [1], [1]]
         # Of the two triples that give a rotation, the one of a head that is not upside down: SciPy keeps yaw within 90.
         over = np.abs(pitch) > 90
@@ -286,7 +285,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
     """Spearman's coefficient of (N,) and (N,); NaN below three pairs or if either is constant."""
     if a.size < 3 or np.ptp(a) == 0 or np.ptp(b) == 0:
         return math.nan
-    return float(stats.spearmanr(a, b).statistic)
+    return float(scipy.stats.spearmanr(a, b).statistic)
 
 
 def _bins(values: np.ndarray, centres: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from jaxfit.evaluation.curves import LIMIT, areas, auc, failure_rate, failures, measurable
 from jaxfit.exceptions import InputError
@@ -111,10 +111,10 @@ def rank_sum(a: np.ndarray, b: np.ndarray) -> float:
     a, b = measurable(a), measurable(b)
     if not (a.size and b.size):
         return math.nan
-    ranks = stats.rankdata(np.concatenate([a, b]))
+    ranks = scipy.stats.rankdata(np.concatenate([a, b]))
     if np.ptp(ranks) == 0:
         return 1.0  # All are equal: the variance of the statistic is zero.
-    return float(stats.mannwhitneyu(ranks[: a.size], ranks[a.size :]).pvalue)
+    return float(scipy.stats.mannwhitneyu(ranks[: a.size], ranks[a.size :]).pvalue)
 
 
 def signed_rank(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> float:
@@ -139,7 +139,7 @@ def signed_rank(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> floa
         return 1.0
     difference = a[differs] - b[differs]
     # The test sees signed ranks only; ranking here keeps infinities out of its arithmetic.
-    return float(stats.wilcoxon(np.sign(difference) * stats.rankdata(np.abs(difference))).pvalue)
+    return float(scipy.stats.wilcoxon(np.sign(difference) * scipy.stats.rankdata(np.abs(difference))).pvalue)
 
 
 def subject_means(errors: np.ndarray, subjects: Subjects) -> np.ndarray:
@@ -327,4 +327,4 @@ def _ratio_ci95(values: np.ndarray, weights: np.ndarray, owners: np.ndarray) -> 
         return math.nan
     rest = totals - shares * (values.sum() / weights.sum())
     deviation = math.sqrt(count / (count - 1) * np.square(rest).sum()) / weights.sum()
-    return float(stats.t.ppf(0.975, count - 1) * deviation)
+    return float(scipy.stats.t.ppf(0.975, count - 1) * deviation)

@@ -4,7 +4,6 @@ from functools import partial
 from typing import NamedTuple
 
 import jax
-import optax
 from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -126,6 +125,8 @@ def refine_head(
         b, camera = aligned(step)
         apart = (show(model.reconstruct(b), camera)[:, :2] - known) / start.scale
         return (precision * jnp.sum(weights[:, None] * apart**2) + jnp.sum(step[:-_POSE] ** 2)) / 2
+
+    import optax  # not before: few refine, and all would wait for it
 
     optimiser = optax.lbfgs(linesearch=optax.scale_by_zoom_linesearch(max_linesearch_steps=10))
     value_and_slope = optax.value_and_grad_from_state(cost)

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
+import scipy
 from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float
-from scipy.stats import chi2
 
 from jaxfit.exceptions import InputError
 
@@ -59,6 +59,7 @@ def restriction(normalised: Coefficients, sigmas: float | Float[Array, ""]) -> F
 
 def likely_radius(modes: int) -> float:
     """The radius of the ellipsoid of ``modes`` dimensions that holds what ±3 σ hold in one: 99.7 % of normal faces."""
+    chi2 = scipy.stats.chi2  # SciPy imports this, which takes long, when it is asked for
     return float(np.sqrt(chi2.ppf(chi2.cdf(SIGMAS**2, 1), modes)))
 
 
