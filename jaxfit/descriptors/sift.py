@@ -32,10 +32,10 @@ Window = Float[Array, "34 34"]
 
 
 class Prepared(NamedTuple):
-    """A smoothed crop, ready for upright windows, and packed for turned ones."""
+    """A smoothed crop, ready for upright windows, and packed for turned ones, if there are any."""
 
     smoothed: Picture
-    packed: Packed
+    packed: Packed | None
 
 
 class Aim(NamedTuple):
@@ -94,7 +94,7 @@ class Sift:
     def prepare(self, crop: Crop) -> Prepared:
         """The crop, smoothed by σ = 1.6 pixels."""
         smoothed = smooth(crop.astype(jnp.float32))
-        return Prepared(smoothed, pack(smoothed))
+        return Prepared(smoothed, pack(smoothed) if self.turns else None)
 
     def aim(self, prepared: Prepared, level: int, point: Point, side: Scalar, angle: Scalar) -> Aim:
         """The middle and the side of the window."""
@@ -107,7 +107,7 @@ class Sift:
         neighbouring samples: a picture twice as large, in a window twice as large, has the same descriptor.
         """
         point, spacing = aim.point, aim.side / SAMPLES
-        if self.turns:
+        if self.turns and prepared.packed is not None:
             turn = self.window_angle(prepared, point, aim.side, angle)
             window = rotated_window(prepared.packed, point, spacing, turn)
         else:
