@@ -126,10 +126,12 @@ def _shrunk(grey: np.ndarray, offset: np.ndarray, scale: float, crop: int) -> tu
     """
     last = np.array([grey.shape[1] - 1, grey.shape[0] - 1])
     first_wanted, last_wanted = np.floor(offset - scale), np.ceil(offset + scale * (crop + 1)) + 1
+    block = max(1, int(scale))
     low, high = (np.clip(wanted, 0, last).astype(int) for wanted in (first_wanted, last_wanted))
+    low = low // block * block  # blocks are counted from the picture's corner
     part = grey[low[1] : high[1] + 1, low[0] : high[0] + 1]
     # A part that is not as long as a block is left as it is.
-    size, block = high - low + 1, max(1, int(scale))
+    size = high - low + 1
     blocks = np.where(size < block, 1, block)
     if block > 1:
         # Where the picture ends its edge goes on for the rest of a block and one more.

@@ -39,8 +39,9 @@ def test_crops_show_the_image_function(shrink, centre):
     crop = cut_face(image, centre, shrink * FRAME.face, FRAME)
     points = np.clip(to_image(crop_points(), crop.scale, crop.offset), 0, [width - 1, height - 1])
     error = np.abs(crop.pixels - waves(points, period))
-    # Of 255 grey levels, rounding the image, the samples and their mean costs one; interpolation a fraction.
-    assert error.max() < 2
+    # Of 255 grey levels, rounding the image, the samples and their mean costs one; interpolation a fraction; and where
+    # blocks of pixels become one, the image's edge comes from half a block inside.
+    assert error.max() < (2 if shrink < 2 else 3)
     assert error.mean() < 0.5
 
 
