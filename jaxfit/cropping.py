@@ -1,45 +1,51 @@
-"""Pictures and face boxes to the crops that a model works on; pictures are read and cut ahead, in threads."""
+"""Pictures and face boxes to the crops that a model works on; pictures are read and cut in threads, few at a time."""
 
 import os
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import repeat
 from pathlib import Path
-from typing import NamedTuple
+from threading import Lock
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxfit.data.boxes import box_problem
-from jaxfit.data.crops import Crop, Crops, cut_face
+from jaxfit.data.crops import Crops, cut
 from jaxfit.data.images import read_upright, to_grey
+from jaxfit.data.placements import Placement
 from jaxfit.exceptions import ImageError, InputError
+from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
 
-# Pictures that are read and cut before they are asked for: their crops wait, the pictures do not.
-_AHEAD = 128
 _MOST_THREADS = 8  # each holds a picture
-_TOGETHER = 64  # faces of a picture that are cut while it is held
+_TOGETHER = 16  # faces that a thread cuts before it gives them to whoever waits
 
 Images = Sequence[np.ndarray | str | Path] | np.ndarray
 Read = Callable[[Path], np.ndarray]
+T = TypeVar("T")
 
 
-class CutFace(NamedTuple):
-    """A face's crop, or why there is none.
+@dataclass(frozen=True, eq=False)
+class CutFaces:
+    """Some faces, cut from their pictures.
 
     Attributes:
-        number: of the face.
-        source: how problems of its picture begin: with the file's name, if it is one.
-        crop: None if it could not be cut.
-        problem: why not; empty if it could.
+        numbers: of the faces.
+        crops: one for each; black where a face could not be cut.
+        problems: of those, the number and why.
+        sources: for each, how problems begin: with the name of its picture's file, if it came from one.
     """
 
-    number: int
-    source: str
-    crop: Crop | None
-    problem: str = ""
+    numbers: range
+    crops: Crops
+    problems: dict[int, str]
+    sources: list[str]
 
 
 def crop_faces(
@@ -64,19 +70,27 @@ def crop_faces(
     """
     crops = Crops.empty(len(images), model.cascade.frame)
     problems: dict[int, str] = {}
-    with closing(cut_faces(model, images, boxes, kind, read)) as faces:
-        for face in faces:
-            if face.crop is None:
-                problems[face.number] = face.problem
-            else:
-                crops.pixels[face.number], crops.scale[face.number], crops.offset[face.number] = face.crop
+    parts = cutting(model, images, boxes, kind, read, repeat(_TOGETHER))
+    with closing(in_order(parts, reading_threads(len(images)))) as cut_parts:
+        for part in cut_parts:
+            rows = slice(part.numbers.start, part.numbers.stop)
+            for all_faces, faces in zip(crops.arrays, part.crops.arrays, strict=True):
+                all_faces[rows] = faces
+            problems |= part.problems
     return crops, problems
 
 
-def cut_faces(
-    model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str], read: Read
-) -> Generator[CutFace, None, None]:
-    """The crops of `crop_faces` one after the other; some pictures' exist at a time, of pictures one a thread.
+def cutting(
+    model: Model,
+    images: Images,
+    boxes: ArrayLike,
+    kind: str | Sequence[str],
+    read: Read,
+    sizes: Iterable[int],
+) -> Iterator[Callable[[], CutFaces]]:
+    """The work of `crop_faces` in parts, of so many faces each, to be done in any threads.
+
+    A picture is read once for faces that follow one another, also where they belong to several parts.
 
     Raises:
         InputError: as `crop_faces`, before anything is read.
@@ -85,81 +99,101 @@ def cut_faces(
         raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
     if isinstance(images, str | Path):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
-    images = list(images) if isinstance(images, np.ndarray) else images
     boxes = _box_array(boxes, len(images))
     kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
     if len(kinds) != len(images):
         raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
     placements = [model.placement(kind) for kind in kinds]
-
-    def of_picture(picture: _Picture) -> list[CutFace]:
-        image, numbers = picture
-        source = f"{image}: " if isinstance(image, str | Path) else ""
-        try:
-            grey = _grey(image, read)
-        except (ImageError, OSError) as error:
-            why = str(error) if str(image) in str(error) else f"{source}{error}"
-            return [CutFace(number, source, None, why) for number in numbers]
-        found = []
-        for number in numbers:
-            if complaint := box_problem(boxes[number], grey.shape):
-                found.append(CutFace(number, source, None, f"{source}{complaint}"))
-            else:
-                centre, side = placements[number].face_in(boxes[number])
-                found.append(CutFace(number, source, cut_face(grey, centre, side, model.cascade.frame)))
-        return found
-
-    if len(images) == 1:  # which threads would only keep waiting
-        return (face for picture in _pictures(images) for face in of_picture(picture))
-    return _in_threads(of_picture, _pictures(images))
+    return _parts(model.cascade.frame, images, boxes, placements, read, sizes)
 
 
-class _Picture(NamedTuple):
-    """A picture and the numbers of its faces."""
+class _Picture:
+    """A picture that is read when the first of its faces is cut, by whichever thread comes first, and not again."""
 
-    image: np.ndarray | str | Path
-    numbers: list[int]
+    def __init__(self, image: np.ndarray | str | Path, read: Read):
+        self.image, self._read = image, read
+        self.source = f"{image}: " if isinstance(image, str | Path) else ""
+        self._lock = Lock()
+        self._grey: np.ndarray | str | None = None
+
+    def grey(self) -> np.ndarray | str:
+        """Its pixels, uint8 (H, W), or why it has none."""
+        with self._lock:
+            if self._grey is None:
+                try:
+                    image = self.image
+                    self._grey = to_grey(self._read(Path(image)) if isinstance(image, str | Path) else image)
+                except (ImageError, OSError) as error:
+                    self._grey = str(error) if str(self.image) in str(error) else f"{self.source}{error}"
+            return self._grey
 
 
-def _grey(image: np.ndarray | str | Path, read: Read) -> np.ndarray:
-    return to_grey(read(Path(image)) if isinstance(image, str | Path) else image)
-
-
-def _pictures(images: Images) -> Iterator[_Picture]:
-    """The pictures one after the other, each with those of its faces that follow one another, some at a time."""
+def _parts(
+    frame: Frame, images: Images, boxes: np.ndarray, placements: Sequence[Placement], read: Read, sizes: Iterable[int]
+) -> Iterator[Callable[[], CutFaces]]:
     picture: _Picture | None = None
-    for number in range(len(images)):
-        image = images[number]
-        same = picture is not None and len(picture.numbers) < _TOGETHER and _same(picture.image, image)
-        if picture is not None and same:
-            picture.numbers.append(number)
-            continue
-        if picture is not None:
-            yield picture
-        picture = _Picture(image, [number])
-    if picture is not None:
-        yield picture
+    first = 0
+    for size in sizes:
+        numbers = range(first, min(first + size, len(images)))
+        if not numbers:
+            return
+        pictures: deque[_Picture] = deque()
+        for number in numbers:
+            image = images[number]
+            if picture is None or not _same(picture.image, image):
+                picture = _Picture(image, read)
+            pictures.append(picture)
+        yield partial(_cut, frame, numbers, pictures, boxes, placements)
+        first = numbers.stop
+
+
+def _cut(
+    frame: Frame, numbers: range, pictures: deque[_Picture], boxes: np.ndarray, placements: Sequence[Placement]
+) -> CutFaces:
+    """Cut these faces from their pictures, which are forgotten one after the other."""
+    crops = Crops.empty(len(numbers), frame)
+    problems: dict[int, str] = {}
+    sources = [picture.source for picture in pictures]
+    for row, number in enumerate(numbers):
+        grey = pictures.popleft().grey()
+        if isinstance(grey, str):
+            problems[number] = grey
+        elif complaint := box_problem(boxes[number], grey.shape):
+            problems[number] = f"{sources[row]}{complaint}"
+        else:
+            cut(grey, *placements[number].face_in(boxes[number]), crops, row)
+    return CutFaces(numbers, crops, problems, sources)
 
 
 def _same(one: np.ndarray | str | Path, other: np.ndarray | str | Path) -> bool:
     return one is other or (isinstance(one, str | Path) and isinstance(other, str | Path) and str(one) == str(other))
 
 
-def _in_threads(
-    work: Callable[[_Picture], list[CutFace]], pictures: Iterator[_Picture]
-) -> Generator[CutFace, None, None]:
-    """What ``work`` makes of each picture, in order, some of it ahead of time."""
-    pool = ThreadPoolExecutor(min(_MOST_THREADS, cores()))
-    waiting: deque[Future[list[CutFace]]] = deque()
+def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None, None]:
+    """What pieces of work give, one after the other, while threads, if there are any, do the next ones.
+
+    Close it if no more is wanted: what has not begun is then not done.
+    """
+    if threads == 0:
+        yield from (piece() for piece in work)
+        return
+    pool = ThreadPoolExecutor(threads)
+    waiting: deque[Future[T]] = deque()
     try:
-        for picture in pictures:
-            waiting.append(pool.submit(work, picture))
-            if len(waiting) >= _AHEAD:
-                yield from waiting.popleft().result()
+        for piece in work:
+            waiting.append(pool.submit(piece))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
         while waiting:
-            yield from waiting.popleft().result()
+            yield waiting.popleft().result()
     finally:
-        pool.shutdown(cancel_futures=True)  # someone may want no more
+        pool.shutdown(cancel_futures=True)
+
+
+def reading_threads(count: int) -> int:
+    """How many threads read and cut ``count`` faces: one more than keep the cores busy, as they wait for one another;
+    none for a single face, which would take as long again to wake one."""
+    return min(_MOST_THREADS, cores()) + 1 if count > 1 else 0
 
 
 def cores() -> int:

@@ -1,11 +1,11 @@
 """Fitting pictures: crops through the cascade in fixed-size batches, landmarks back to the pictures."""
 
-from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from itertools import repeat
+from threading import Semaphore
 from typing import Any, NamedTuple
 
 import jax
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.cascade.model import Cascade
-from jaxfit.cropping import CutFace, Images, Read, cores, cut_faces
-from jaxfit.data.crops import to_image
+from jaxfit.cropping import CutFaces, Images, Read, cores, cutting, in_order, reading_threads
+from jaxfit.data.crops import Crops, to_image
 from jaxfit.data.images import read_upright
 from jaxfit.exceptions import InputError
 from jaxfit.models.model import SQUARE, Model
@@ -99,7 +99,7 @@ def fit(
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
-    (fits,) = _fits(model, cut_faces(model, images, boxes, kind, read), len(images), _Way(turns, refine), progress)
+    (fits,) = _fits(model, _Faces(images, boxes, kind, read), _Way(turns, refine), progress)
     return fits
 
 
@@ -125,8 +125,16 @@ def fit_steps(
     Raises:
         InputError: as `fit`.
     """
-    faces = cut_faces(model, images, boxes, kind, read)
-    return _fits(model, faces, len(images), _Way(every_step=True), progress)
+    return _fits(model, _Faces(images, boxes, kind, read), _Way(every_step=True), progress)
+
+
+class _Faces(NamedTuple):
+    """What is to be fitted; see `fit`."""
+
+    images: Images
+    boxes: ArrayLike
+    kind: str | Sequence[str]
+    read: Read
 
 
 class _Way(NamedTuple):
@@ -139,95 +147,75 @@ class _Way(NamedTuple):
 
 def _fits(
     model: Model,
-    faces: Generator[CutFace, None, None],
-    count: int,
+    faces: _Faces,
     way: _Way,
     progress: Callable[[str, int, int], None],
 ) -> list[Fits]:
-    """The fits of ``count`` faces: of the whole cascade, or after each step."""
-    steps = len(model.cascade.windows) if way.every_step else 1
-    fits = [Fits(problems={}, **_empty(model, count)) for _ in range(steps)]
-    problems: dict[int, str] = {}
+    """The fits of the whole cascade, or after each step."""
+    count = len(faces.images)
+    fits = [
+        Fits(problems={}, **_empty(model, count)) for _ in range(len(model.cascade.windows) if way.every_step else 1)
+    ]
     compute = _computing(model, way, count)
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
-    at_once = computed_at_once()
-    computing: deque[tuple[list[CutFace], Future[_Found]]] = deque()
+    free = Semaphore(computed_at_once())
 
-    def computed(crops: np.ndarray) -> _Found:
-        with jax.default_device(device):
-            return {name: np.asarray(of) for name, of in compute(crops).items()}
+    def found(cut: Callable[[], CutFaces]) -> tuple[CutFaces, _Found]:
+        batch = cut()
+        if len(batch.problems) == len(batch.numbers):
+            return batch, {}
+        with free, jax.default_device(device):
+            return batch, {name: np.asarray(of) for name, of in compute(batch.crops.pixels).items()}
 
-    def keep() -> None:
-        """Wait for the batch that is computed first, and put what is found where it belongs."""
-        batch, waited = computing.popleft()
-        found = _in_pictures(batch, waited.result())
-        for step, each in enumerate(fits):
-            _put(each, batch, {name: of[:, step] for name, of in found.items()} if way.every_step else found)
-
-    with closing(faces), ThreadPoolExecutor(at_once) as pool:
-        for batch in _batches(faces, problems):  # whose crops are cut while batches before are computed
-            if len(computing) == at_once:
-                keep()
-            progress("fitting", batch[0].number, count)
-            crops = np.stack([face.crop.pixels for face in batch if face.crop])
-            computing.append((batch, _done(computed, crops) if count == 1 else pool.submit(computed, crops)))
-        while computing:
-            keep()
-    progress("fitting", count, count)
-    return [replace(each, problems=dict(sorted((problems | each.problems).items()))) for each in fits]
+    parts = cutting(model, *faces, _batches(count))
+    progress("fitting", 0, count)
+    with closing(in_order((partial(found, part) for part in parts), reading_threads(count))) as batches:
+        for batch, of_batch in batches:
+            in_pictures = _in_pictures(batch.crops, of_batch)
+            for step, each in enumerate(fits):
+                _put(
+                    each,
+                    batch,
+                    {name: of[:, step] for name, of in in_pictures.items()} if way.every_step else in_pictures,
+                )
+            progress("fitting", batch.numbers.stop, count)
+    return fits
 
 
-def _done(work: Callable[[np.ndarray], _Found], crops: np.ndarray) -> Future[_Found]:
-    """As if a thread had done it; for a single face it would take as long again to wake one."""
-    future: Future[_Found] = Future()
-    future.set_result(work(crops))
-    return future
+def _batches(count: int) -> Iterator[int]:
+    """The sizes of the batches for ``count`` faces."""
+    for size in batch_sizes():
+        yield from repeat(size, count // size)
+        count %= size
 
 
-def _batches(faces: Iterator[CutFace], problems: dict[int, str]) -> Iterator[list[CutFace]]:
-    """Faces with crops in batches of few sizes; why others have none is put among the problems."""
-    sizes = batch_sizes()
-    batch: list[CutFace] = []
-    for face in faces:
-        if face.crop is None:
-            problems[face.number] = face.problem
-            continue
-        batch.append(face)
-        if len(batch) == sizes[0]:
-            yield batch
-            batch = []
-    for size in sizes[1:]:
-        while len(batch) >= size:
-            yield batch[:size]
-            batch = batch[size:]
-
-
-def _in_pictures(batch: Sequence[CutFace], found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What was found in the crops of a batch, in the pixels of the pictures."""
-    crops = [face.crop for face in batch if face.crop]
-    scale, offset = np.array([crop.scale for crop in crops]), np.stack([crop.offset for crop in crops])
+def _in_pictures(crops: Crops, found: _Found) -> _Found:
+    """What was found in crops, in the pixels of the pictures."""
 
     def points(values: np.ndarray) -> np.ndarray:
         between = (1,) * (values.ndim - 2)  # steps, if there are any, and landmarks
-        return to_image(values, scale.reshape(-1, *between, 1), offset.reshape(-1, *between, 2))
+        return to_image(values, crops.scale.reshape(-1, *between, 1), crops.offset.reshape(-1, *between, 2))
 
     found = {name: values.astype(np.float64) for name, values in found.items()}
-    found["landmarks"] = points(found["landmarks"])
+    if "landmarks" in found:
+        found["landmarks"] = points(found["landmarks"])
     if "landmarks_3d" in found:
-        depths = found["landmarks_3d"][..., 2:] * scale.reshape(-1, *(1,) * (found["landmarks_3d"].ndim - 1))
+        depths = found["landmarks_3d"][..., 2:] * crops.scale.reshape(-1, *(1,) * (found["landmarks_3d"].ndim - 1))
         found["landmarks_3d"] = np.concatenate([points(found["landmarks_3d"][..., :2]), depths], -1)
-        found["scale"] *= scale.reshape(-1, *(1,) * (found["scale"].ndim - 1))
+        found["scale"] *= crops.scale.reshape(-1, *(1,) * (found["scale"].ndim - 1))
     return found
 
 
-def _put(fits: Fits, batch: Sequence[CutFace], found: dict[str, np.ndarray]) -> None:
-    """Put what was found in a batch among the fits; of faces that diverged, that they did."""
-    finite = np.all([np.isfinite(values.reshape(len(batch), -1)).all(1) for values in found.values()], 0)
-    numbers = np.array([face.number for face in batch])
+def _put(fits: Fits, batch: CutFaces, found: _Found) -> None:
+    """Put what was found in a batch among the fits; of faces that could not be cut or diverged, why."""
+    fits.problems.update(batch.problems)
+    cut = np.array([number not in batch.problems for number in batch.numbers])
+    finite = np.all([np.isfinite(values.reshape(len(cut), -1)).all(1) for values in found.values()], 0)
+    numbers = np.asarray(batch.numbers)
     for name, values in found.items():
-        getattr(fits, name)[numbers[finite]] = values[finite]
-    for row in map(int, np.flatnonzero(~finite)):
-        fits.problems[batch[row].number] = f"{batch[row].source}the fit diverged"
+        getattr(fits, name)[numbers[cut & finite]] = values[cut & finite]
+    for row in map(int, np.flatnonzero(cut & ~finite)):
+        fits.problems[batch.numbers[row]] = f"{batch.sources[row]}the fit diverged"
 
 
 def require_refinable(model: Model, refine: bool) -> None:

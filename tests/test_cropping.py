@@ -2,6 +2,8 @@
 
 import threading
 import time
+import weakref
+from itertools import repeat
 from pathlib import Path
 
 import cv2
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxfit
-from jaxfit.cropping import cut_faces
+from jaxfit.cropping import cutting, in_order
 from jaxfit.data.images import read_image, write_image
 from jaxfit.exceptions import InputError
 
@@ -112,28 +114,46 @@ def test_a_picture_is_read_once_for_faces_that_follow_one_another(model, files) 
         return read_image(path)
 
     images = [files[0]] * 3 + [files[1]] + [files[0]]
-    assert len(list(cut_faces(model, images, boxes(5), "square", remembering))) == 5
+    parts = in_order(cutting(model, images, boxes(5), "square", remembering, [2, 2, 1]), 3)
+    assert [list(part.numbers) for part in parts] == [[0, 1], [2, 3], [4]]
     assert sorted(read) == sorted([files[0], files[1], files[0]])
+
+
+def test_a_picture_that_cannot_be_read_is_tried_once_for_all_of_its_faces(model, files) -> None:
+    tried: list[Path] = []
+
+    def failing(path: Path) -> np.ndarray:
+        tried.append(path)
+        raise OSError("the disk is on fire")
+
+    _, problems = jaxfit.crop_faces(model, [files[0]] * 40, boxes(40), read=failing)
+    assert tried == [files[0]]
+    assert problems == dict.fromkeys(range(40), f"{files[0]}: the disk is on fire")
 
 
 def test_pictures_are_read_only_as_far_ahead_as_is_useful(model, pictures) -> None:
     begun: list[int] = []
+    drawn: list[weakref.ref] = []
 
     def slow(path: Path) -> np.ndarray:
         begun.append(int(path.name))
-        return pictures[0]
+        picture = np.ascontiguousarray(pictures[0][..., 0])
+        drawn.append(weakref.ref(picture))
+        return picture
 
-    faces = cut_faces(model, [Path(str(k)) for k in range(5000)], boxes(5000), "square", slow)
-    assert next(faces).number == 0
-    faces.close()
-    assert len(begun) < 1000
+    images = [Path(str(k)) for k in range(5000)]
+    parts = in_order(cutting(model, images, boxes(5000), "square", slow, repeat(10)), 4)
+    assert next(parts).numbers == range(10)
+    assert sum(picture() is not None for picture in list(drawn)) <= 10  # of each thread this one and the last
+    parts.close()
+    assert len(begun) <= 60
 
 
 def test_wrong_arguments_are_refused_before_anything_is_read(model) -> None:
     with pytest.raises(InputError, match="put it in a list"):
         jaxfit.crop_faces(model, "photo.jpg", [[0, 0, 9, 9]])
     with pytest.raises(InputError, match="one box"):
-        cut_faces(model, ["none.jpg", "none.jpg"], [[0, 0, 9, 9]], "square", read_image)
+        cutting(model, ["none.jpg", "none.jpg"], [[0, 0, 9, 9]], "square", read_image, [2])
 
 
 def test_reading_in_threads_leaves_opencvs_log_as_it_was(files) -> None:

@@ -1,6 +1,7 @@
 """Face boxes: arrays (4,) float64 of x, y, width, height, in pixels."""
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
@@ -47,8 +48,8 @@ def jitter(box: np.ndarray, rng: np.random.Generator, shift: float = 0.06, scale
 def box_problem(box: np.ndarray, image_shape: tuple[int, ...]) -> str | None:
     """Why no face can be looked for in a box (4,) of an image (H, W, …), as a sentence; None if one can."""
     height, width = image_shape[:2]
-    x, y, box_width, box_height = box
-    if not np.isfinite(box).all():
+    x, y, box_width, box_height = box.tolist()
+    if not all(map(math.isfinite, (x, y, box_width, box_height))):
         return "the face box has a coordinate that is not a finite number"
     if min(box_width, box_height) < _SMALLEST:
         return f"the face box has no area: width {box_width:g}, height {box_height:g}"

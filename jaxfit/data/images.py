@@ -63,7 +63,8 @@ def _grey(path: str | Path, exif: bool) -> np.ndarray:
 def _data(path: str | Path) -> bytes:
     """What is in a file that may be a picture."""
     try:
-        data = Path(path).read_bytes()
+        with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
+            data = file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
         raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
     if complaint := _complaint(data):
