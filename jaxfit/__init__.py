@@ -13,7 +13,7 @@ from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
 from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
-from jaxfit.data.detection import detect_faces
+from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxfit.data.detection import best_match, detect_faces
+from jaxfit.data.detectors import best_match, detect_faces
 from jaxfit.data.images import read_grey
 from jaxfit.data.placements import Placement, measure_placement
 from jaxfit.data.records import Dataset, FaceRecord

@@ -70,41 +70,86 @@ def crop_faces(
     """
     crops = Crops.empty(len(images), model.cascade.frame)
     problems: dict[int, str] = {}
-    parts = cutting(model, images, boxes, kind, read, repeat(_TOGETHER))
-    with closing(in_order(parts, reading_threads(len(images)))) as cut_parts:
+    faces = faces_to_cut(model, images, boxes, kind, read)
+    with closing(in_order(cutting(faces, repeat(_TOGETHER)), reading_threads(len(faces)))) as cut_parts:
         for part in cut_parts:
             rows = slice(part.numbers.start, part.numbers.stop)
-            for all_faces, faces in zip(crops.arrays, part.crops.arrays, strict=True):
-                all_faces[rows] = faces
+            for of_all, of_part in zip(crops.arrays, part.crops.arrays, strict=True):
+                of_all[rows] = of_part
             problems |= part.problems
     return crops, problems
 
 
-def cutting(
-    model: Model,
-    images: Images,
-    boxes: ArrayLike,
-    kind: str | Sequence[str],
-    read: Read,
-    sizes: Iterable[int],
-) -> Iterator[Callable[[], CutFaces]]:
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Faces that are to be cut, made by `faces_to_cut`, which checks them.
+
+    Attributes:
+        frame: of the crops.
+        images: one for each face.
+        boxes: (N, 4).
+        kinds: what drew each box.
+        placements: how faces lie in each box.
+        read: makes an array of a file.
+    """
+
+    frame: Frame
+    images: Images
+    boxes: np.ndarray
+    kinds: tuple[str, ...]
+    placements: Sequence[Placement]
+    read: Read
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+
+def faces_to_cut(model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str], read: Read) -> Faces:
+    """The faces that `crop_faces` cuts, with the same arguments.
+
+    Raises:
+        InputError: as `crop_faces`.
+    """
+    require_several(images)
+    kinds = (kind,) * len(images) if isinstance(kind, str) else tuple(kind)
+    if len(kinds) != len(images):
+        raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
+    placements = {kind: model.placement(kind) for kind in {SQUARE, *kinds}}
+    boxes = _box_array(boxes, len(images))
+    return Faces(model.cascade.frame, images, boxes, kinds, [placements[kind] for kind in kinds], read)
+
+
+def cutting(faces: Faces, sizes: Iterable[int]) -> Iterator[Callable[[], CutFaces]]:
     """The work of `crop_faces` in parts, of so many faces each, to be done in any threads.
 
     A picture is read once for faces that follow one another, also where they belong to several parts.
+    """
+    picture: _Picture | None = None
+    first = 0
+    for size in sizes:
+        numbers = range(first, min(first + size, len(faces)))
+        if not numbers:
+            return
+        pictures: deque[_Picture] = deque()
+        for number in numbers:
+            image = faces.images[number]
+            if picture is None or not _same(picture.image, image):
+                picture = _Picture(image, faces.read)
+            pictures.append(picture)
+        yield partial(_cut, faces, numbers, pictures)
+        first = numbers.stop
+
+
+def require_several(images: Images) -> None:
+    """Check that pictures are a sequence of them.
 
     Raises:
-        InputError: as `crop_faces`, before anything is read.
+        InputError: it is one picture.
     """
     if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
         raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
     if isinstance(images, str | Path):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
-    boxes = _box_array(boxes, len(images))
-    kinds = [kind] * len(images) if isinstance(kind, str) else list(kind)
-    if len(kinds) != len(images):
-        raise InputError(f"expected one kind of box, or one for each of {len(images)} images; got {len(kinds)}")
-    placements = [model.placement(kind) for kind in kinds]
-    return _parts(model.cascade.frame, images, boxes, placements, read, sizes)
 
 
 class _Picture:
@@ -128,40 +173,23 @@ class _Picture:
             return self._grey
 
 
-def _parts(
-    frame: Frame, images: Images, boxes: np.ndarray, placements: Sequence[Placement], read: Read, sizes: Iterable[int]
-) -> Iterator[Callable[[], CutFaces]]:
-    picture: _Picture | None = None
-    first = 0
-    for size in sizes:
-        numbers = range(first, min(first + size, len(images)))
-        if not numbers:
-            return
-        pictures: deque[_Picture] = deque()
-        for number in numbers:
-            image = images[number]
-            if picture is None or not _same(picture.image, image):
-                picture = _Picture(image, read)
-            pictures.append(picture)
-        yield partial(_cut, frame, numbers, pictures, boxes, placements)
-        first = numbers.stop
-
-
-def _cut(
-    frame: Frame, numbers: range, pictures: deque[_Picture], boxes: np.ndarray, placements: Sequence[Placement]
-) -> CutFaces:
+def _cut(faces: Faces, numbers: range, pictures: deque[_Picture]) -> CutFaces:
     """Cut these faces from their pictures, which are forgotten one after the other."""
-    crops = Crops.empty(len(numbers), frame)
+    crops = Crops.empty(len(numbers), faces.frame)
     problems: dict[int, str] = {}
     sources = [picture.source for picture in pictures]
     for row, number in enumerate(numbers):
-        grey = pictures.popleft().grey()
+        picture, box = pictures.popleft(), faces.boxes[number]
+        if np.isnan(box).all():
+            problems[number] = f"{sources[row]}there is no face box"
+            continue
+        grey = picture.grey()
         if isinstance(grey, str):
             problems[number] = grey
-        elif complaint := box_problem(boxes[number], grey.shape):
+        elif complaint := box_problem(box, grey.shape):
             problems[number] = f"{sources[row]}{complaint}"
         else:
-            cut(grey, *placements[number].face_in(boxes[number]), crops, row)
+            cut(grey, *faces.placements[number].face_in(box), crops, row)
     return CutFaces(numbers, crops, problems, sources)
 
 

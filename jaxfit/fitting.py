@@ -2,9 +2,10 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import repeat
+from pathlib import Path
 from threading import Semaphore
 from typing import Any, NamedTuple
 
@@ -15,9 +16,11 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.cascade.model import Cascade
-from jaxfit.cropping import CutFaces, Images, Read, cores, cutting, in_order, reading_threads
+from jaxfit.cropping import CutFaces, Faces, Images, Read, cores, cutting, faces_to_cut, in_order, reading_threads
 from jaxfit.data.crops import Crops, to_image
-from jaxfit.data.images import read_upright
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.images import read_image, read_upright
+from jaxfit.detecting import Found, find_faces
 from jaxfit.exceptions import InputError
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.camera_asm import CameraASM
@@ -38,6 +41,9 @@ class Fits:
     Attributes:
         landmarks: (N, L, 2) float64, x right, y down, in the pixels of each picture; NaN for faces not fitted.
         problems: for each face that was not fitted, its number and why.
+        pictures: (N,) the number of each face's picture among those given.
+        boxes: (N, 4) x, y, width, height of the boxes that the fits started from, in pixels; NaN where there was none.
+        kinds: what drew each box.
         landmarks_3d: (N, L, 3) the 3D shape in the pixels of each picture: x, y, and the depth away from the viewer,
             0 at the mean face's centroid. None, like all below, for models without 3D.
         pose: (N, 3) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
@@ -47,6 +53,9 @@ class Fits:
 
     landmarks: np.ndarray
     problems: dict[int, str]
+    pictures: np.ndarray
+    boxes: np.ndarray
+    kinds: tuple[str, ...]
     landmarks_3d: np.ndarray | None = None
     pose: np.ndarray | None = None
     scale: np.ndarray | None = None
@@ -64,26 +73,30 @@ class Fits:
 def fit(
     model: Model,
     images: Images,
-    boxes: ArrayLike,
+    boxes: ArrayLike | None = None,
     *,
-    kind: str | Sequence[str] = SQUARE,
+    kind: str | Sequence[str] | None = None,
+    detector: str | Detector | None = None,
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
-    read: Read = read_upright,
+    read: Read | None = None,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
-    """Find the landmarks of N faces, and their 3D shapes and poses if the model knows of them.
+    """Find the landmarks of faces, and their 3D shapes and poses if the model knows of them.
 
-    A picture or box that cannot be used does not stop the others: its landmarks are NaN and ``problems`` says why.
+    With boxes, N of them for N pictures, a face a picture; without, the faces are looked for, and all that are found in
+    a picture are fitted: ``pictures`` says whose they are. A picture or box that cannot be used, or a picture without a
+    face, does not stop the others: there is a face with landmarks of NaN for it, and ``problems`` says why.
 
     Args:
         model: from ``jaxfit.load``.
-        images: N pictures: their files, which are read while others are fitted, or uint8 arrays of any sizes, (H, W)
-            grey, (H, W, 3) RGB or (H, W, 4) RGBA; for several faces in one picture give the same several times.
-        boxes: (N, 4) x, y, width, height of the faces, in pixels.
-        kind: what drew the boxes: ``"square"`` are squares around the landmarks, give or take; the others that a model
-            knows stand in ``model.placements``. One for all, or N of them.
+        images: pictures: their files, which are read while others are fitted, or uint8 arrays of any sizes, (H, W)
+            grey, (H, W, 3) RGB or (H, W, 4) RGBA; for boxes of several faces in one picture give it several times.
+        boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
+        kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
+            that a model knows stand in ``model.placements``. One for all, or N of them.
+        detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default ``"haar"``.
         initialisations: starts for each face, one or at least three, turned evenly over ``rotations``; the fit nearest
             to all others is kept (thesis 3.2.3). Worth their time, a multiple of one start's, where faces may be
             turned in the picture and the model was trained for it.
@@ -91,16 +104,66 @@ def fit(
             middle.
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
         read: makes an array of a file, in threads; unless told, pictures are turned upright as their EXIF data say.
-        progress: called with the stage's name, faces done and faces in all.
+        progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), ``kind`` is unknown, there are no initialisations or no range, or nothing
-            to refine.
+        InputError: ``boxes`` is not (N, 4), ``kind`` or ``detector`` is unknown or not asked for, there are no
+            initialisations or no range, or nothing to refine.
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
-    (fits,) = _fits(model, _Faces(images, boxes, kind, read), _Way(turns, refine), progress)
-    return fits
+    way = _Way(turns, refine)
+    if boxes is not None:
+        if detector is not None:
+            raise InputError("expected boxes or a detector that finds them; got both")
+        faces = faces_to_cut(model, images, boxes, kind or SQUARE, read or read_upright)
+        (fits,) = _fits(model, faces, way, progress)
+        return fits
+    if kind is not None:
+        raise InputError(
+            f"expected boxes of the kind {kind!r}; without boxes, the detector says of what kind its own are"
+        )
+    find = detector_named(detector or DEFAULT_DETECTOR) if isinstance(detector, str | None) else detector
+    for each in find.kinds:
+        model.placement(each)
+    found = find_faces(images, find, read=read or read_image, progress=progress)
+    return _fits_of_found(model, found, images, read or read_upright, way, progress)
+
+
+def _fits_of_found(
+    model: Model,
+    found: Found,
+    images: Images,
+    read: Read,
+    way: "_Way",
+    progress: Callable[[str, int, int], None],
+) -> Fits:
+    """The fits of found faces, in the order of the pictures; NaN for pictures without any."""
+    missed = np.array(sorted(found.problems), int)
+    pictures = np.concatenate([found.pictures, missed])
+    boxes = np.concatenate([found.boxes, np.full((len(missed), 4), np.nan)])
+    kinds = [*found.kinds, *[SQUARE] * len(missed)]
+    order = np.argsort(pictures, kind="stable")
+    chosen = _Chosen(images, pictures[order])
+    faces = faces_to_cut(model, chosen, boxes[order], [kinds[number] for number in order], read)
+    (fits,) = _fits(model, faces, way, progress)
+    why = {
+        row: found.problems[int(pictures[number])] for row, number in enumerate(order) if number >= len(found.pictures)
+    }
+    return replace(fits, pictures=pictures[order], problems=fits.problems | why)
+
+
+class _Chosen(Sequence[np.ndarray | str | Path]):
+    """Some of a sequence's pictures, which are taken from it when they are asked for."""
+
+    def __init__(self, images: Images, numbers: np.ndarray):
+        self._images, self._numbers = images, numbers
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._images[self._numbers[index]]
 
 
 def fit_steps(
@@ -125,16 +188,7 @@ def fit_steps(
     Raises:
         InputError: as `fit`.
     """
-    return _fits(model, _Faces(images, boxes, kind, read), _Way(every_step=True), progress)
-
-
-class _Faces(NamedTuple):
-    """What is to be fitted; see `fit`."""
-
-    images: Images
-    boxes: ArrayLike
-    kind: str | Sequence[str]
-    read: Read
+    return _fits(model, faces_to_cut(model, images, boxes, kind, read), _Way(every_step=True), progress)
 
 
 class _Way(NamedTuple):
@@ -147,15 +201,14 @@ class _Way(NamedTuple):
 
 def _fits(
     model: Model,
-    faces: _Faces,
+    faces: Faces,
     way: _Way,
     progress: Callable[[str, int, int], None],
 ) -> list[Fits]:
     """The fits of the whole cascade, or after each step."""
-    count = len(faces.images)
-    fits = [
-        Fits(problems={}, **_empty(model, count)) for _ in range(len(model.cascade.windows) if way.every_step else 1)
-    ]
+    count = len(faces)
+    steps = len(model.cascade.windows) if way.every_step else 1
+    fits = [_unfitted(model, faces) for _ in range(steps)]
     compute = _computing(model, way, count)
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
     free = Semaphore(computed_at_once())
@@ -167,9 +220,9 @@ def _fits(
         with free, jax.default_device(device):
             return batch, {name: np.asarray(of) for name, of in compute(batch.crops.pixels).items()}
 
-    parts = cutting(model, *faces, _batches(count))
+    parts = (partial(found, part) for part in cutting(faces, _batches(count)))
     progress("fitting", 0, count)
-    with closing(in_order((partial(found, part) for part in parts), reading_threads(count))) as batches:
+    with closing(in_order(parts, reading_threads(count))) as batches:
         for batch, of_batch in batches:
             in_pictures = _in_pictures(batch.crops, of_batch)
             for step, each in enumerate(fits):
@@ -228,13 +281,14 @@ def require_refinable(model: Model, refine: bool) -> None:
         raise InputError("refine: only models of the method alignment3d align a 3D shape that could be refined")
 
 
-def _empty(model: Model, count: int) -> dict[str, np.ndarray]:
-    """What is found of ``count`` faces, by its name in `Fits`; NaN."""
+def _unfitted(model: Model, faces: Faces) -> Fits:
+    """Fits of faces of which nothing is known yet: NaN."""
     shapes: dict[str, tuple[int, ...]] = {"landmarks": (model.scheme.count, 2)}
     if model.solid is not None:
         modes = len(model.solid.model.deviations)
         shapes |= {"landmarks_3d": (model.scheme.count, 3), "pose": (3,), "scale": (), "b": (modes,)}
-    return {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
+    nothing = {name: np.full((len(faces), *shape), np.nan) for name, shape in shapes.items()}
+    return Fits(problems={}, pictures=np.arange(len(faces)), boxes=faces.boxes, kinds=faces.kinds, **nothing)
 
 
 def batch_sizes() -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
-from jaxfit.data.detection import best_match, detect_faces
+from jaxfit.data.detectors import best_match, detect_faces
 from jaxfit.data.images import read_grey
 from jaxfit.data.placements import Placement, measure_placement
 from jaxfit.data.records import FaceRecord

@@ -8,7 +8,7 @@ import pytest
 
 import jaxfit
 from jaxfit.calibrating import evaluate_in_own_boxes, frontal
-from jaxfit.data.detection import detect_faces
+from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
 from jaxfit.shapes.schemes import NO_LANDMARKS

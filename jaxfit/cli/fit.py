@@ -17,7 +17,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
 )
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.detection import detect_faces
+from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import find_images, read_image, write_image
 from jaxfit.data.outputs import write_csv
 from jaxfit.data.overlays import draw_head, draw_landmarks

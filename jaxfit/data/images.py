@@ -136,7 +136,17 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
 
 
 def to_grey(image: np.ndarray) -> np.ndarray:
-    """Luminance, uint8 (H, W), of a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA.
+    """Luminance, uint8 (H, W), of a picture as in `to_eight_bits`.
+
+    Raises:
+        ImageError: as `to_eight_bits`.
+    """
+    image = to_eight_bits(image)
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+
+
+def to_eight_bits(image: np.ndarray) -> np.ndarray:
+    """A uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA as uint8, (H, W) or (H, W, 3).
 
     Transparency is dropped, of 16 bits the upper 8 are kept.
 
@@ -154,7 +164,7 @@ def to_grey(image: np.ndarray) -> np.ndarray:
         image = (image >> 8).astype(np.uint8)
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
-    return cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_RGB2GRAY)
+    return np.ascontiguousarray(image[..., :3])
 
 
 def find_images(paths: Iterable[str | Path]) -> list[Path]:

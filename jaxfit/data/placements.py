@@ -1,6 +1,14 @@
-"""From a face box to the first belief about the face: statistics of each kind of box, measured on training faces."""
+"""From a face box to the first belief about the face: statistics of each kind of box, measured on labelled faces.
 
+Those of the detectors that we know come with the package, for each scheme of landmarks (``placements.json``, written by
+``scripts/measure_boxes.py``); a model may have measured others on its own training faces.
+"""
+
+import json
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import Any
 
 import jax
 import numpy as np
@@ -30,6 +38,27 @@ class Placement:
         """The expected centre (2,) and size, in pixels of the picture, of the face in a box (4,)."""
         side = _side(box)
         return box_centre(box) + np.array(self.shift) * side, float(side * np.exp(self.log_scale))
+
+
+@cache
+def placements_of(scheme: str) -> dict[str, Placement]:
+    """How faces with landmarks of a scheme lie in the boxes of detectors, by the kind of box; empty if nobody knows."""
+    known = json.loads((resources.files("jaxfit.data") / "placements.json").read_text("utf-8"))
+    return {kind: read_placement(values) for kind, values in known.get(scheme, {}).items()}
+
+
+def read_placement(values: dict[str, Any]) -> Placement:
+    """A placement from the JSON values of its fields, whose numbers are not checked."""
+    spread = values["spread"]
+    return Placement(
+        shift=(float(values["shift"][0]), float(values["shift"][1])),
+        log_scale=float(values["log_scale"]),
+        spread=Spread(
+            (float(spread["shift"][0]), float(spread["shift"][1])),
+            float(spread["log_scale"]),
+            float(spread["rotation"]),
+        ),
+    )
 
 
 def measure_placement(boxes: np.ndarray, landmarks: np.ndarray, mean: np.ndarray, face: float) -> Placement:

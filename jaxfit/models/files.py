@@ -14,9 +14,8 @@ from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as pack_tensors
 
 from jaxfit.cascade.model import Cascade
-from jaxfit.cascade.train import Spread
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.placements import Placement
+from jaxfit.data.placements import Placement, read_placement
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.exceptions import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
@@ -269,22 +268,11 @@ def _half(weights: np.ndarray) -> np.ndarray:
 
 
 def _placement(values: dict[str, Any]) -> Placement:
-    spread = values["spread"]
-    return Placement(
-        shift=(_finite(values["shift"][0]), _finite(values["shift"][1])),
-        log_scale=_finite(values["log_scale"]),
-        spread=Spread(
-            (_finite(spread["shift"][0]), _finite(spread["shift"][1])),
-            _finite(spread["log_scale"]),
-            _finite(spread["rotation"]),
-        ),
-    )
-
-
-def _finite(value: float) -> float:
-    if not np.isfinite(value):
+    placement = read_placement(values)
+    spread = placement.spread
+    if not np.isfinite([*placement.shift, placement.log_scale, *spread.shift, spread.log_scale, spread.rotation]).all():
         raise ModelError("damaged: a placement has values that are not finite numbers")
-    return float(value)
+    return placement
 
 
 def _name_of(names: Mapping[str, type], thing: object) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 
 from jaxfit.cascade.fit import solid_of
 from jaxfit.cascade.model import Cascade
-from jaxfit.data.placements import Placement
+from jaxfit.data.placements import Placement, placements_of
 from jaxfit.exceptions import InputError
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.schemes import Scheme
@@ -20,7 +20,8 @@ class Model:
     Attributes:
         cascade: the trained parameters: the pytree that jitted functions take.
         scheme: what the landmarks mean.
-        placements: for each kind of face box, where faces lie in it; ``"square"`` is always there.
+        placements: for each kind of face box that was measured in training, where faces lie in it; ``"square"`` is
+            always there.
         training: how it was made: method, options, numbers of faces; plain JSON values.
         head: for 3D alignment, what is aligned to the landmarks that the cascade finds; None for other methods.
     """
@@ -40,12 +41,19 @@ class Model:
         """The shape space of the model's 3D results; None if it has none."""
         return solid_of(self.cascade, self.head)
 
+    @property
+    def known_placements(self) -> dict[str, Placement]:
+        """For each kind of box that the model can start from, where faces lie in it: what was measured on other faces
+        with the same landmarks, or better, in training."""
+        return placements_of(self.scheme.name) | self.placements
+
     def placement(self, kind: str) -> Placement:
         """Where faces lie in boxes of a kind.
 
         Raises:
-            InputError: the model was not trained for that kind of box.
+            InputError: nobody has measured that kind of box for landmarks like the model's.
         """
-        if kind not in self.placements:
-            raise InputError(f"this model knows boxes of the kinds {', '.join(self.placements)}; got {kind!r}")
-        return self.placements[kind]
+        known = self.known_placements
+        if kind not in known:
+            raise InputError(f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}")
+        return known[kind]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detection import Detection, best_match, detect_faces
+from jaxfit.data.detectors import Detection, best_match, detect_faces
 from jaxfit.data.images import read_image, to_grey
 
 TRUTH = np.array([100.0, 100.0, 50.0, 50.0])

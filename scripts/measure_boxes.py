@@ -1,0 +1,125 @@
+"""Measure how faces lie in the boxes of each detector, and write it where ``jaxfit.data.placements`` finds it.
+
+Datasets give the statistics of their landmark scheme, and of those that it can be converted to. Datasets of --lift join
+them with the landmarks that a 3D head model gives their faces, so that turned ones count, too. A table of how many
+faces each detector finds goes to standard output.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.cli.main import exit_code
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data import placements
+from jaxfit.data.boxes import bounding_square
+from jaxfit.data.detectors import Detection, best_match, detector_named, whole
+from jaxfit.data.images import read_image
+from jaxfit.data.outputs import atomic_write
+from jaxfit.data.records import FaceRecord
+from jaxfit.detecting import find_faces
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError
+from jaxfit.lifting import lift_labels
+from jaxfit.models.heads import DEFAULT_HEAD, load_head
+from jaxfit.shapes.conversions import convert, sources
+from jaxfit.shapes.points import mean_face
+from jaxfit.shapes.schemes import SCHEMES, Scheme
+
+# A face's side in the measures, which are relative to it.
+SIDE = 1.0
+FEWEST = 30
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    add_datasets(parser)
+    parser.add_argument("--lift", nargs="+", default=[], metavar="SPEC", help="datasets of other landmarks")
+    parser.add_argument("--detectors", nargs="+", default=["haar", "dlib", "whole"], help="as in jaxfit fit")
+    parser.add_argument("--out", default=str(Path(placements.__file__).with_name("placements.json")))
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    scheme = shared_scheme(datasets)
+    faces = [face for dataset in datasets for face in dataset.faces if face.complete]
+    sets = [dataset.spec for dataset in datasets for face in dataset.faces if face.complete]
+    for dataset in read_datasets(arguments.lift, None):
+        lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(DEFAULT_HEAD))
+        faces += lifted.faces
+        sets += [dataset.spec] * len(lifted.faces)
+    out = Path(arguments.out)
+    known = json.loads(out.read_text("utf-8")) if out.exists() else {}
+    rows = []
+    for spec in arguments.detectors:
+        found = matches(spec, faces)
+        for name in dict.fromkeys(sets):
+            of_set = [detection for detection, its in zip(found, sets, strict=True) if its == name]
+            kinds = {
+                kind: sum(of is not None and of.kind == kind for of in of_set) for kind in detector_named(spec).kinds
+            }
+            rows += [
+                {"faces of": Path(name.partition(":")[2]).name, "boxes": kind, "found": count / len(of_set)}
+                for kind, count in kinds.items()
+            ]
+        for other in convertible(scheme):
+            labels = convert(np.stack([face.landmarks for face in faces]), scheme, other)
+            known.setdefault(other.name, {}).update(measured(found, labels))
+    with atomic_write(out, "w") as file:
+        json.dump(known, file, indent=1, sort_keys=True)
+        file.write("\n")
+    print(markdown_table(rows, {"faces of": "", "boxes": "", "found": ".1%"}))
+    return 0
+
+
+def matches(spec: str, faces: Sequence[FaceRecord]) -> list[Detection | None]:
+    """The box that a detector draws around each face; None where it does not find it."""
+    with Bars() as bars:
+        found = find_faces(
+            [face.image for face in faces], spec, read=lambda path: read_image(path, exif=False), progress=bars
+        )
+    report_problems([why for why in found.problems.values() if "no face found" not in why])
+    in_picture: list[list[Detection]] = [[] for _ in faces]
+    for picture, box, kind in zip(found.pictures, found.boxes, found.kinds, strict=True):
+        in_picture[picture].append(Detection(box, kind))
+    if spec == whole.KIND:  # which finds every face
+        return [detections[0] if detections else None for detections in in_picture]
+    return [best_match(of, bounding_square(face.landmarks)) for of, face in zip(in_picture, faces, strict=True)]
+
+
+def convertible(scheme: Scheme) -> list[Scheme]:
+    """The schemes that labels can be converted to, its own among them."""
+    possible = []
+    for other in SCHEMES.values():
+        with suppress(InputError):
+            sources(scheme, other)
+            possible.append(other)
+    return possible
+
+
+def measured(found: Sequence[Detection | None], landmarks: np.ndarray) -> dict[str, dict]:
+    """How faces (N, L, 2) lie in the boxes of each kind of which there are some."""
+    squares = np.stack([bounding_square(points) for points in landmarks])
+    mean = mean_face((landmarks - squares[:, None, :2]) / squares[:, None, 2:], SIDE)
+    result = {}
+    for kind in sorted({detection.kind for detection in found if detection}):
+        rows = [row for row, detection in enumerate(found) if detection and detection.kind == kind]
+        if len(rows) >= FEWEST:
+            boxes = np.stack([detection.box for detection in found if detection and detection.kind == kind])
+            placement = placements.measure_placement(boxes, landmarks[rows], mean, SIDE)
+            result[kind] = json.loads(
+                json.dumps(asdict(placement), default=float), parse_float=lambda text: round(float(text), 4)
+            )
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main())
