@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxfit
-from jaxfit.cropping import cutting, in_order
+from jaxfit.cropping import cutting, faces_to_cut, in_order
 from jaxfit.data.images import read_image, write_image
 from jaxfit.exceptions import InputError
 
@@ -114,7 +114,7 @@ def test_a_picture_is_read_once_for_faces_that_follow_one_another(model, files) 
         return read_image(path)
 
     images = [files[0]] * 3 + [files[1]] + [files[0]]
-    parts = in_order(cutting(model, images, boxes(5), "square", remembering, [2, 2, 1]), 3)
+    parts = in_order(cutting(faces_to_cut(model, images, boxes(5), "square", remembering), [2, 2, 1]), 3)
     assert [list(part.numbers) for part in parts] == [[0, 1], [2, 3], [4]]
     assert sorted(read) == sorted([files[0], files[1], files[0]])
 
@@ -142,7 +142,7 @@ def test_pictures_are_read_only_as_far_ahead_as_is_useful(model, pictures) -> No
         return picture
 
     images = [Path(str(k)) for k in range(5000)]
-    parts = in_order(cutting(model, images, boxes(5000), "square", slow, repeat(10)), 4)
+    parts = in_order(cutting(faces_to_cut(model, images, boxes(5000), "square", slow), repeat(10)), 4)
     assert next(parts).numbers == range(10)
     assert sum(picture() is not None for picture in list(drawn)) <= 10  # of each thread this one and the last
     parts.close()
@@ -153,7 +153,7 @@ def test_wrong_arguments_are_refused_before_anything_is_read(model) -> None:
     with pytest.raises(InputError, match="put it in a list"):
         jaxfit.crop_faces(model, "photo.jpg", [[0, 0, 9, 9]])
     with pytest.raises(InputError, match="one box"):
-        cutting(model, ["none.jpg", "none.jpg"], [[0, 0, 9, 9]], "square", read_image, [2])
+        faces_to_cut(model, ["none.jpg", "none.jpg"], [[0, 0, 9, 9]], "square", read_image)
 
 
 def test_reading_in_threads_leaves_opencvs_log_as_it_was(files) -> None:

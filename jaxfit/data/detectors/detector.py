@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -22,6 +22,7 @@ class Detection:
     kind: str
 
 
+@runtime_checkable
 class Detector(Protocol):
     """Finds faces in pictures; may be called in several threads at once.
 
