@@ -15,6 +15,7 @@ from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
+from jaxfit.detecting import Found, find_faces
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
 from jaxfit.exporting import Exported, export_model, load_exported
@@ -29,6 +30,7 @@ __all__ = [
     "DatasetError",
     "Exported",
     "Fits",
+    "Found",
     "HeadModel",
     "Heads",
     "ImageError",
@@ -47,6 +49,7 @@ __all__ = [
     "detect_faces",
     "evaluate",
     "export_model",
+    "find_faces",
     "fit",
     "fit_crops",
     "fit_face",

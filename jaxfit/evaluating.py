@@ -6,14 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from jaxfit.aligning import with_depth
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
-from jaxfit.data.images import read_grey
+from jaxfit.data.detectors import Detection, Detector, best_match
+from jaxfit.data.detectors.whole import KIND as WHOLE
+from jaxfit.data.images import read_grey, read_image
 from jaxfit.data.records import FaceRecord
+from jaxfit.detecting import find_faces
 from jaxfit.evaluation.errors import nmed, normaliser_length
 from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import InputError
@@ -84,6 +88,38 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
     return np.array(boxes).reshape(-1, 4)
 
 
+def detected_boxes(
+    faces: Sequence[FaceRecord],
+    detector: str | Detector,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> tuple[np.ndarray, list[str]]:
+    """The boxes (N, 4) in which a detector finds labelled faces, and their kinds; NaN, and squares, where it does not.
+
+    Args:
+        faces: N labelled faces with landmarks.
+        detector: as in ``jaxfit.detect_faces``.
+        progress: called with the stage's name, pictures done and pictures in all.
+
+    Raises:
+        InputError: there is no such detector.
+    """
+    pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
+    stored = partial(read_image, exif=False)  # what labels belong to
+    found = find_faces(list(pictures), detector, read=stored, progress=progress)
+    in_pictures: list[list[Detection]] = [[] for _ in pictures]
+    for picture, box, kind in zip(found.pictures, found.boxes, found.kinds, strict=True):
+        in_pictures[picture].append(Detection(box, kind))
+    boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
+    for number, face in enumerate(faces):
+        if not face.present.any():
+            continue
+        candidates, truth = in_pictures[pictures[face.image]], bounding_square(face.landmarks)
+        whole = [candidate for candidate in candidates if candidate.kind == WHOLE]  # found wherever the face is
+        if match := next(iter(whole), None) or best_match(candidates, truth):
+            boxes[number], kinds[number] = match.box, match.kind
+    return boxes, kinds
+
+
 def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[np.ndarray]]) -> np.ndarray:
     """Boxes (N, 4) from those given by picture name; each box goes to one face at most, the nearest pairs first.
 
@@ -115,7 +151,7 @@ def evaluate(
     faces: Sequence[FaceRecord],
     boxes: np.ndarray,
     *,
-    kind: str = SQUARE,
+    kind: str | Sequence[str] = SQUARE,
     scheme: Scheme | None = None,
     normaliser: str = "outer",
     initialisations: int = 1,
@@ -130,7 +166,7 @@ def evaluate(
         model: the model.
         faces: N labelled faces.
         boxes: (N, 4) x, y, width, height in pixels; a NaN box is an undetected face: a failure.
-        kind: what drew the boxes, one of ``model.placements``.
+        kind: what drew the boxes, as in ``jaxfit.fit``: one for all, or N.
         scheme: what the labels mean, if not what the model's landmarks do: fits are converted to it.
         normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
         initialisations: starts for each face, as in ``jaxfit.fit``.
@@ -143,12 +179,17 @@ def evaluate(
         InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
             number, an unknown normaliser or kind, no or two initialisations, or no range of rotations.
     """
-    model.placement(kind)
+    kinds = [kind] * len(faces) if isinstance(kind, str) else list(kind)
+    if len(kinds) != len(faces):
+        raise InputError(f"expected one kind of box, or one for each of {len(faces)} faces; got {len(kinds)}")
+    for each in {*kinds}:
+        model.placement(each)
     check_rotations(initialisations, rotations)
 
-    def fitted(images: Sequence[Path], boxes: np.ndarray) -> list[Fits]:
-        ways = {"initialisations": initialisations, "rotations": rotations, "refine": refine}
-        return [fit(model, images, boxes, kind=kind, read=read, progress=progress, **ways)]  # type: ignore[arg-type]
+    def fitted(images: Sequence[Path], boxes: np.ndarray, numbers: np.ndarray) -> list[Fits]:
+        ways: dict[str, Any] = {"initialisations": initialisations, "rotations": rotations, "refine": refine}
+        drawn_by = [kinds[number] for number in numbers]
+        return [fit(model, images, boxes, kind=drawn_by, read=read, progress=progress, **ways)]
 
     compiled = partial(warm_up, model, initialisations=initialisations, refine=refine)
     (evaluation,) = _evaluate(model, faces, boxes, scheme or model.scheme, normaliser, compiled, fitted, progress)
@@ -178,7 +219,10 @@ def evaluate_steps(
         InputError: as `evaluate`.
     """
     compiled = partial(warm_up, model, every_step=True)
-    fitted = partial(fit_steps, model, read=read, progress=progress)
+
+    def fitted(images: Sequence[Path], boxes: np.ndarray, numbers: np.ndarray) -> list[Fits]:
+        return fit_steps(model, images, boxes, read=read, progress=progress)
+
     return _evaluate(model, faces, boxes, model.scheme, normaliser, compiled, fitted, progress)
 
 
@@ -189,10 +233,11 @@ def _evaluate(
     scheme: Scheme,
     normaliser: str,
     compiled: Callable[[Sequence[int]], None],
-    fitted: Callable[[Sequence[Path], np.ndarray], list[Fits]],
+    fitted: Callable[[Sequence[Path], np.ndarray, np.ndarray], list[Fits]],
     progress: Callable[[str, int, int], None],
 ) -> list[Evaluation]:
-    """An evaluation for each of the fits that ``fitted`` makes of files of pictures and their boxes (N, 4)."""
+    """An evaluation for each of the fits that ``fitted`` makes of files of pictures, their boxes (N, 4) and the numbers
+    (N,) of the faces."""
     boxes = np.asarray(boxes, np.float64)
     if boxes.shape != (len(faces), 4):
         raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
@@ -205,7 +250,7 @@ def _evaluate(
         progress("compiling (cached for later runs)", 0, len(faces))
         compiled([size for size in batch_sizes() if size <= boxed.size])
     begin = time.perf_counter()
-    fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed])
+    fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed], boxed)
     seconds = time.perf_counter() - begin
 
     def whole(found: np.ndarray) -> np.ndarray:

@@ -17,14 +17,13 @@ import numpy as np
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.cli.main import exit_code
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars
 from jaxfit.data import placements
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.detectors import Detection, best_match, detector_named, whole
-from jaxfit.data.images import read_image
+from jaxfit.data.detectors import Detection, detector_named
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import FaceRecord
-from jaxfit.detecting import find_faces
+from jaxfit.evaluating import detected_boxes
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import InputError
 from jaxfit.lifting import lift_labels
@@ -83,16 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
 def matches(spec: str, faces: Sequence[FaceRecord]) -> list[Detection | None]:
     """The box that a detector draws around each face; None where it does not find it."""
     with Bars() as bars:
-        found = find_faces(
-            [face.image for face in faces], spec, read=lambda path: read_image(path, exif=False), progress=bars
-        )
-    report_problems([why for why in found.problems.values() if "no face found" not in why])
-    in_picture: list[list[Detection]] = [[] for _ in faces]
-    for picture, box, kind in zip(found.pictures, found.boxes, found.kinds, strict=True):
-        in_picture[picture].append(Detection(box, kind))
-    if spec == whole.KIND:  # which finds every face
-        return [detections[0] if detections else None for detections in in_picture]
-    return [best_match(of, bounding_square(face.landmarks)) for of, face in zip(in_picture, faces, strict=True)]
+        boxes, kinds = detected_boxes(faces, spec, bars)
+    return [None if np.isnan(box).any() else Detection(box, kind) for box, kind in zip(boxes, kinds, strict=True)]
 
 
 def convertible(scheme: Scheme) -> list[Scheme]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
+from jaxfit.data.detectors import DETECTORS, OF_FILES
 from jaxfit.data.records import Dataset
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
@@ -45,8 +46,15 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
         "--box-kind",
         default=SQUARE,
         metavar="KIND",
-        help="what drew the boxes of FILE.csv: square (around the landmarks, the default), haar-frontal, haar-profile",
+        help="what drew the boxes of FILE.csv: square (around the landmarks, the default), haar-frontal, haar-profile, "
+        "dlib, yunet, whole",
     )
+
+
+def add_detector(command: argparse.ArgumentParser, about: str) -> None:
+    """``--detector SPEC``."""
+    known = [*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)]
+    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {', '.join(known)}")
 
 
 def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[np.ndarray]] | None:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxfit.cli.arguments import (
     add_boxes,
     add_datasets,
+    add_detector,
     add_initialisations,
     add_refine,
     given_boxes,
@@ -23,11 +24,12 @@ from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.datasets import convert_dataset
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.records import Dataset
-from jaxfit.evaluating import Evaluation, evaluate, match_boxes, require_scheme, start_boxes
+from jaxfit.evaluating import Evaluation, detected_boxes, evaluate, match_boxes, require_scheme, start_boxes
 from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
 from jaxfit.evaluation.pose import ANGLES, POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
+from jaxfit.exceptions import InputError
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import CONVERSIONS
@@ -58,6 +60,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "fits start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%, or, where there are "
         "no landmarks, from the dataset's own boxes",
     )
+    add_detector(command, "start from the boxes in which this detector finds the faces")
     command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
     command.add_argument(
         "--normaliser",
@@ -81,17 +84,25 @@ def run(options: argparse.Namespace) -> int:
     for dataset, scheme in zip(datasets, schemes, strict=True):
         require_scheme(scheme, dataset.faces)
     boxes = given_boxes(options, model)
+    if boxes is not None and options.detector is not None:
+        raise InputError("expected --boxes or a --detector that finds them; got both")
     folder = out_folder(options.out)
-    kinds = {dataset.spec: _start_kind(model, dataset) if boxes is None else options.box_kind for dataset in datasets}
+    kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
-            starts = start_boxes(dataset.faces, options.seed) if boxes is None else match_boxes(dataset.faces, boxes)
+            kind: str | list[str] = kinds[dataset.spec]
+            if options.detector is not None:
+                starts, kind = detected_boxes(dataset.faces, options.detector, bars)
+            elif boxes is None:
+                starts = start_boxes(dataset.faces, options.seed)
+            else:
+                starts = match_boxes(dataset.faces, boxes)
             results[dataset.spec] = evaluate(
                 model,
                 dataset.faces,
                 starts,
-                kind=kinds[dataset.spec],
+                kind=kind,
                 scheme=scheme,
                 normaliser=options.normaliser,
                 initialisations=options.initialisations,
@@ -103,6 +114,7 @@ def run(options: argparse.Namespace) -> int:
     with atomic_write(folder / "report.json", "w") as file:
         settings = {
             "boxes": options.boxes,
+            "detector": options.detector,
             "seed": options.seed,
             "initialisations": options.initialisations,
             "rotations": list(options.rotations),
@@ -142,12 +154,19 @@ def _measured_scheme(model: Model, dataset: Dataset) -> Scheme:
     return dataset.scheme if (model.scheme.name, dataset.scheme.name) in CONVERSIONS else model.scheme
 
 
+def _box_kind(options: argparse.Namespace, model: Model, dataset: Dataset) -> str:
+    """What draws the boxes that fits start from."""
+    if options.boxes is not None:
+        return str(options.box_kind)
+    return _start_kind(model, dataset) if options.detector is None else str(options.detector)
+
+
 def _start_kind(model: Model, dataset: Dataset) -> str:
     """The kind of the boxes that fits start from without ``--boxes``: datasets without landmarks have their own."""
     own = dataset.spec.partition(":")[0]
     if dataset.scheme != NO_LANDMARKS:
         return SQUARE
-    if own in model.placements:
+    if own in model.known_placements:
         return own
     print(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
     return SQUARE
