@@ -23,7 +23,7 @@ from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import SQUARE, Model
 
-_MOST_THREADS = 8  # each holds a picture
+_MOST_CORES = 8  # that are kept busy; each thread holds a picture
 _TOGETHER = 16  # faces that a thread cuts before it gives them to whoever waits
 
 Images = Sequence[np.ndarray | str | Path] | np.ndarray
@@ -68,9 +68,9 @@ def crop_faces(
     Raises:
         InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
     """
-    crops = Crops.empty(len(images), model.cascade.frame)
-    problems: dict[int, str] = {}
     faces = faces_to_cut(model, images, boxes, kind, read)
+    crops = Crops.empty(len(faces), faces.frame)
+    problems: dict[int, str] = {}
     with closing(in_order(cutting(faces, repeat(_TOGETHER)), reading_threads(len(faces)))) as cut_parts:
         for part in cut_parts:
             rows = slice(part.numbers.start, part.numbers.stop)
@@ -221,7 +221,7 @@ def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None
 def reading_threads(count: int) -> int:
     """How many threads read and cut ``count`` faces: one more than keep the cores busy, as they wait for one another;
     none for a single face, which would take as long again to wake one."""
-    return min(_MOST_THREADS, cores()) + 1 if count > 1 else 0
+    return min(_MOST_CORES, cores()) + 1 if count > 1 else 0
 
 
 def cores() -> int:

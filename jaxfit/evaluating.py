@@ -21,7 +21,7 @@ from jaxfit.detecting import find_faces
 from jaxfit.evaluation.errors import nmed, normaliser_length
 from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import InputError
-from jaxfit.fitting import Fits, batch_sizes, fit, fit_steps, warm_up
+from jaxfit.fitting import Fits, batches_of, fit, fit_steps, warm_up
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import convert, sources
 from jaxfit.shapes.schemes import Scheme
@@ -248,7 +248,7 @@ def _evaluate(
     unboxed = np.flatnonzero(~np.isfinite(boxes).all(1))
     if boxed.size:
         progress("compiling (cached for later runs)", 0, len(faces))
-        compiled([size for size in batch_sizes() if size <= boxed.size])
+        compiled(list(dict.fromkeys(batches_of(boxed.size))))
     begin = time.perf_counter()
     fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed], boxed)
     seconds = time.perf_counter() - begin

@@ -109,6 +109,8 @@ def export_model(
     check_target(path)
     turns = start_rotations(initialisations, rotations)
     tensors = tensors_of(model)
+    # A step's weights apart: programs would copy their part of a larger array, megabytes, before each use.
+    tensors |= {f"weights.{step}": of_step for step, of_step in enumerate(tensors.pop("weights"))}
     with _no_source_locations():
         programs = {size: _program(model, turns, tensors, size) for size in BATCHES}
     one = programs[BATCHES[0]]
@@ -163,19 +165,13 @@ def _program(model: Model, turns: jax.Array, tensors: dict[str, np.ndarray], siz
     names = [jax.tree_util.keystr(at, simple=True, separator=".").removeprefix("cascade.") for at, _ in leaves]
 
     def fit(crops: jax.Array, arrays: dict[str, jax.Array]) -> dict[str, jax.Array]:
-        parts = jax.tree.unflatten(structure, [_part(arrays, name) for name in names])
+        parts = jax.tree.unflatten(structure, [arrays[name] for name in names])
         return find(parts["cascade"], parts["head"], crops, turns)
 
     side = model.cascade.frame.crop
     # Arguments, and not constants of the programs: the file then holds them once, as float16, and not for each size.
     arrays = {name: jax.ShapeDtypeStruct(tensors[name].shape, jnp.float32) for name in tensors}
     return export.export(jax.jit(fit), platforms=PLATFORMS)(jax.ShapeDtypeStruct((size, side, side), jnp.uint8), arrays)
-
-
-def _part(arrays: dict[str, jax.Array], name: str) -> jax.Array:
-    """The array of a name, or, where that ends in a number, of a step."""
-    whole, _, number = name.rpartition(".")
-    return arrays[whole][int(number)] if number.isdecimal() else arrays[name]
 
 
 @contextmanager

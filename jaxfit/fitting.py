@@ -1,10 +1,9 @@
 """Fitting pictures: crops through the cascade in fixed-size batches, landmarks back to the pictures."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import repeat
 from pathlib import Path
 from threading import Semaphore
 from typing import Any, NamedTuple
@@ -29,9 +28,11 @@ from jaxfit.shapes.camera_asm import CameraASM
 # devices, one more: batches of the first size for each of them, all at once.
 BATCHES = (64, 8, 1)
 _MOST_AT_ONCE = 8  # each holds a batch and its descriptors
+# Boxes of detectors scatter more than the starts of training: a second pass halves the failures.
+PASSES_OF_FOUND = 2
 
 
-_Found = dict[str, np.ndarray]
+_Arrays = dict[str, np.ndarray]  # what is found in a batch, by its name in `Fits`
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ def fit(
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
+    passes: int | None = None,
     read: Read | None = None,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> Fits:
@@ -88,6 +90,9 @@ def fit(
     With boxes, N of them for N pictures, a face a picture; without, the faces are looked for, and all that are found in
     a picture are fitted: ``pictures`` says whose they are. A picture or box that cannot be used, or a picture without a
     face, does not stop the others: there is a face with landmarks of NaN for it, and ``problems`` says why.
+
+    Several faces are computed in threads, which take JAX's default device from the caller, but nothing else that
+    context managers of JAX set.
 
     Args:
         model: from ``jaxfit.load``.
@@ -103,16 +108,22 @@ def fit(
         rotations: lowest and highest rotation of the starts, in degrees, clockwise as seen; a single start is in the
             middle.
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
+        passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
+            up for rough boxes. By default once from given boxes, and twice from those of a detector.
         read: makes an array of a file, in threads; unless told, pictures are turned upright as their EXIF data say.
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
         InputError: ``boxes`` is not (N, 4), ``kind`` or ``detector`` is unknown or not asked for, there are no
-            initialisations or no range, or nothing to refine.
+            initialisations, no range or no passes, or nothing to refine.
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
-    way = _Way(turns, refine)
+    if passes is None:
+        passes = 1 if boxes is not None else PASSES_OF_FOUND
+    if passes < 1:
+        raise InputError(f"expected at least one pass of the cascade; got {passes}")
+    way = _Way(turns, refine, passes=passes)
     if boxes is not None:
         if detector is not None:
             raise InputError("expected boxes or a detector that finds them; got both")
@@ -192,11 +203,13 @@ def fit_steps(
 
 
 class _Way(NamedTuple):
-    """How crops are fitted: from these rotations, with refined alignments, and telling the fits after every step."""
+    """How crops are fitted: from these rotations, with refined alignments, telling the fits after every step, and in so
+    many passes."""
 
     turns: jax.Array | None = None
     refine: bool = False
     every_step: bool = False
+    passes: int = 1
 
 
 def _fits(
@@ -213,36 +226,39 @@ def _fits(
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
     free = Semaphore(computed_at_once())
 
-    def found(cut: Callable[[], CutFaces]) -> tuple[CutFaces, _Found]:
+    def fit_batch(cut: Callable[[], CutFaces]) -> tuple[CutFaces, _Arrays]:
         batch = cut()
         if len(batch.problems) == len(batch.numbers):
             return batch, {}
         with free, jax.default_device(device):
             return batch, {name: np.asarray(of) for name, of in compute(batch.crops.pixels).items()}
 
-    parts = (partial(found, part) for part in cutting(faces, _batches(count)))
+    batches = (partial(fit_batch, part) for part in cutting(faces, batches_of(count)))
     progress("fitting", 0, count)
-    with closing(in_order(parts, reading_threads(count))) as batches:
-        for batch, of_batch in batches:
-            in_pictures = _in_pictures(batch.crops, of_batch)
+    with closing(in_order(batches, reading_threads(count))) as fitted:
+        for batch, in_crops in fitted:
+            found = _in_pictures(batch.crops, in_crops)
             for step, each in enumerate(fits):
-                _put(
-                    each,
-                    batch,
-                    {name: of[:, step] for name, of in in_pictures.items()} if way.every_step else in_pictures,
-                )
+                _put(each, batch, {name: of[:, step] for name, of in found.items()} if way.every_step else found)
             progress("fitting", batch.numbers.stop, count)
-    return fits
+    return [replace(each, problems=dict(sorted(each.problems.items()))) for each in fits]
 
 
-def _batches(count: int) -> Iterator[int]:
-    """The sizes of the batches for ``count`` faces."""
+def batches_of(count: int) -> list[int]:
+    """The sizes of the batches in which ``count`` faces are fitted, large ones first.
+
+    One thread reads and cuts a batch: a single device takes large ones only where there is one for every thread.
+    """
+    least = reading_threads(count) if len(jax.local_devices()) == 1 else 1
+    sizes: list[int] = []
     for size in batch_sizes():
-        yield from repeat(size, count // size)
-        count %= size
+        if size == 1 or count // size >= least:
+            sizes += [size] * (count // size)
+            count %= size
+    return sizes
 
 
-def _in_pictures(crops: Crops, found: _Found) -> _Found:
+def _in_pictures(crops: Crops, found: _Arrays) -> _Arrays:
     """What was found in crops, in the pixels of the pictures."""
 
     def points(values: np.ndarray) -> np.ndarray:
@@ -259,7 +275,7 @@ def _in_pictures(crops: Crops, found: _Found) -> _Found:
     return found
 
 
-def _put(fits: Fits, batch: CutFaces, found: _Found) -> None:
+def _put(fits: Fits, batch: CutFaces, found: _Arrays) -> None:
     """Put what was found in a batch among the fits; of faces that could not be cut or diverged, why."""
     fits.problems.update(batch.problems)
     cut = np.array([number not in batch.problems for number in batch.numbers])
@@ -322,33 +338,34 @@ def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], di
     """
     parts = model.cascade, model.head
     if len(jax.local_devices()) == 1 or count < batch_sizes()[0]:
-        return lambda crops: _found(*parts, crops, *way, None)
+        return lambda crops: _find(*parts, crops, *way, None)
     mesh = _mesh()
     everywhere = jax.device_put(parts, NamedSharding(mesh, PartitionSpec()))
     of_each = NamedSharding(mesh, PartitionSpec("faces"))
 
     def compute(crops: np.ndarray) -> dict[str, jax.Array]:
         if len(crops) > BATCHES[0]:
-            return _found(*everywhere, jax.device_put(crops, of_each), *way, mesh)
-        return _found(*parts, crops, *way, None)
+            return _find(*everywhere, jax.device_put(crops, of_each), *way, mesh)
+        return _find(*parts, crops, *way, None)
 
     return compute
 
 
-@partial(jax.jit, static_argnames=("refine", "every_step", "mesh"))
-def _found(
+@partial(jax.jit, static_argnames=("refine", "every_step", "passes", "mesh"))
+def _find(
     cascade: Cascade,
     head: CameraASM | None,
     crops: jax.Array,
     turns: jax.Array | None,
     refine: bool,
     every_step: bool,
+    passes: int,
     mesh: Mesh | None,
 ) -> dict[str, jax.Array]:
     """What is found in crops; by each device of the mesh in its share of them."""
 
     def of_share(cascade: Cascade, head: CameraASM | None, turns: jax.Array | None, crops: jax.Array) -> dict:
-        return find(cascade, head, crops, turns, refine, every_step)
+        return find(cascade, head, crops, turns, refine, every_step, passes)
 
     if mesh is not None:
         everything, faces = PartitionSpec(), PartitionSpec("faces")
@@ -368,11 +385,13 @@ def warm_up(
     initialisations: int = 1,
     refine: bool = False,
     every_step: bool = False,
+    passes: int = 1,
 ) -> None:
     """Compile the model for the batch sizes that ``fit`` uses, all unless told; the first fit is then as fast as the
     others.
 
-    With ``every_step`` it is for `fitting.fit_steps`, which has a single start whatever ``initialisations`` says.
+    ``passes`` are 2 for fits that find the faces themselves. With ``every_step`` it is for `fitting.fit_steps`, which
+    has a single start whatever ``initialisations`` says.
 
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
@@ -381,6 +400,6 @@ def warm_up(
     side = model.cascade.frame.crop
     turns = None if every_step else start_rotations(initialisations, ANY_ROTATION)
     sizes = batch_sizes() if batches is None else batches
-    compute = _computing(model, _Way(turns, refine, every_step), max(sizes, default=0))
+    compute = _computing(model, _Way(turns, refine, every_step, passes), max(sizes, default=0))
     for size in sizes:
         jax.block_until_ready(compute(np.zeros((size, side, side), np.uint8)))

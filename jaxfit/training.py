@@ -101,7 +101,7 @@ class Options:
             and all(map(isfinite, numbers))
             and min(*self.windows, sigmas) > 0
             and self.augmentations >= 1
-            and (self.rank is None or self.rank >= 1)
+            and (self.rank is None or (isinstance(self.rank, int) and self.rank >= 1))
             and 0 < self.variance <= 1
             and 0 < self.shape_variance <= 1
             and min(self.ridge, self.spread, self.seed) >= 0

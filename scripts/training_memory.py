@@ -20,6 +20,7 @@ def main() -> None:
     add_datasets(parser)
     parser.add_argument("--augmentations", type=int, nargs="+", default=[5, 10, 20, 40])
     arguments, others = parser.parse_known_args()
+    others += ["--scheme", arguments.scheme] if arguments.scheme else []
     rows = [measure(arguments.data, count, others) for count in arguments.augmentations]
     least = min(row["peak MiB"] for row in rows)
     for row in rows:
@@ -34,7 +35,7 @@ def measure(data: list[str], augmentations: int, others: list[str]) -> dict[str,
         command = [sys.executable, "-m", "jaxfit.cli.main", "train", "--data", *data, "--no-haar"]
         command += ["--augmentations", str(augmentations), "--out", str(Path(folder) / "model.safetensors"), *others]
         begin = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         _, status, usage = os.wait4(process.pid, 0)
         if status != 0:
             raise SystemExit(f"failed: {' '.join(command)}")

@@ -23,6 +23,13 @@ pictures = [rng.integers(0, 256, (90, 90), dtype=np.uint8) for _ in range(138)]
 fits = jaxfit.fit(jaxfit.load(name), pictures, np.tile([15.0, 15.0, 60.0, 60.0], (138, 1)))
 assert len(jax.local_devices()) == devices and fits.ok.all()
 np.save(target, fits.landmarks if fits.landmarks_3d is None else fits.landmarks_3d)
+# Few faces are computed where the caller says, though in threads.
+from jaxfit import fitting
+used, find = set(), fitting._find
+fitting._find = lambda *given: [used.update(of.devices()) for of in (found := find(*given)).values()] and found
+with jax.default_device(jax.local_devices()[-1]):
+    jaxfit.fit(jaxfit.load(name), pictures[:3], np.tile([15.0, 15.0, 60.0, 60.0], (3, 1)))
+assert used == {jax.local_devices()[-1]}, used
 """
 
 

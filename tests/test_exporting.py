@@ -227,7 +227,7 @@ def test_the_documented_lines_fit_without_jaxfit(folder: Path, tmp_path: Path, k
 
 
 @pytest.mark.parametrize("kind", PLACEMENTS)
-@pytest.mark.parametrize("side", [17, 60, 150])
+@pytest.mark.parametrize("side", [17, 60, 150, 900])
 def test_the_documented_lines_cut_the_same_crops(folder: Path, kind: str, side: int) -> None:
     names = {"path": folder / "sdm.safetensors"}
     for block in BLOCKS:

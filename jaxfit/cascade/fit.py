@@ -222,19 +222,13 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
     return jnp.argmin(jnp.where(finite, sums, jnp.inf))
 
 
-def fit_starts(
-    cascade: Cascade, crops: UInt8[Array, "faces height width"], starts: Start
-) -> Float[Array, "faces starts landmarks 2"]:
-    """Fit every crop from several starts (a leading axis): the landmarks of every fit."""
-    return vmap(vmap(partial(landmarks_of, cascade.space)))(_descend_from(cascade, crops, starts)[0])
-
-
-@partial(jax.jit, static_argnames="every_step")
+@partial(jax.jit, static_argnames=("every_step", "passes"))
 def fit_crops(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
     every_step: bool = False,
+    passes: int = 1,
 ) -> Float[Array, "faces *steps landmarks 2"]:
     """Landmarks of a batch of crops, in crop pixels: the whole cascade in one compiled function.
 
@@ -243,13 +237,15 @@ def fit_crops(
         crops: uint8 grey crops of ``cascade.frame``, the expected face upright in the middle at the canonical size,
             as ``jaxfit.crop_faces`` cuts them.
         rotations: start from each of these rotations, in radians, and keep the centroid; None starts upright.
-        every_step: give the landmarks after each step, in a second axis, and not after the last alone.
+        every_step: give the landmarks after each step, in a second axis, and not after the last alone; of the last
+            pass.
+        passes: how often the cascade is run, each time from the mean face where the pass before found one.
 
     Raises:
-        InputError: crops of another size, or no rotations.
+        InputError: crops of another size, no rotations, or no passes.
     """
     landmarks = vmap(partial(landmarks_of, cascade.space))
-    return (vmap(landmarks) if every_step else landmarks)(_best(cascade, crops, rotations, every_step))
+    return (vmap(landmarks) if every_step else landmarks)(_best(cascade, crops, rotations, every_step, passes))
 
 
 def solid_of(cascade: Cascade, head: CameraASM | None) -> CameraASM | None:
@@ -264,11 +260,12 @@ def find(
     rotations: Float[Array, "starts"] | None = None,
     refine: bool = False,
     every_step: bool = False,
+    passes: int = 1,
 ) -> dict[str, Array]:
     """All that a model finds in a batch of crops, by its name in `Heads`: the landmarks alone where nothing is 3D."""
     if solid_of(cascade, head) is None:
-        return {"landmarks": fit_crops(cascade, crops, rotations, every_step)}
-    return fit_heads(cascade, crops, rotations, head, refine, every_step)._asdict()
+        return {"landmarks": fit_crops(cascade, crops, rotations, every_step, passes)}
+    return fit_heads(cascade, crops, rotations, head, refine, every_step, passes)._asdict()
 
 
 class Heads(NamedTuple):
@@ -290,7 +287,7 @@ class Heads(NamedTuple):
     b: Coefficients
 
 
-@partial(jax.jit, static_argnames=("refine", "every_step"))
+@partial(jax.jit, static_argnames=("refine", "every_step", "passes"))
 def fit_heads(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
@@ -298,6 +295,7 @@ def fit_heads(
     head: CameraASM | None = None,
     refine: bool = False,
     every_step: bool = False,
+    passes: int = 1,
 ) -> Heads:
     """Landmarks, 3D shape and pose of a batch of crops, in crop pixels, in one compiled function.
 
@@ -309,9 +307,10 @@ def fit_heads(
             parameters (3.4).
         refine: adjust coefficients and camera of the alignment together (``shapes.alignment.refine_head``).
         every_step: as in :func:`fit_crops`.
+        passes: as in :func:`fit_crops`.
 
     Raises:
-        InputError: crops of another size, no rotations, a 2D cascade without a head, or nothing to refine.
+        InputError: crops of another size, no rotations, no passes, a 2D cascade without a head, or nothing to refine.
     """
     space, solid = cascade.space, solid_of(cascade, head)
     if refine and head is None:
@@ -327,7 +326,7 @@ def fit_heads(
 
     # Alignments take rounds until they converge: side by side, all would take as many as the slowest.
     each = partial(lax.map, heads, batch_size=_ALIGNED_AT_ONCE)
-    states = _best(cascade, crops, rotations, every_step)
+    states = _best(cascade, crops, rotations, every_step, passes)
     return lax.map(each, states) if every_step else each(states)
 
 
@@ -336,6 +335,7 @@ def _best(
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None,
     every_step: bool,
+    passes: int,
 ) -> State:
     """The state (faces) of each crop's best fit; with ``every_step`` (faces, steps), of the best after each step."""
     side = cascade.frame.crop
@@ -344,18 +344,53 @@ def _best(
     rotations = jnp.zeros(1) if rotations is None else rotations
     if len(rotations) == 0:
         raise InputError("expected at least one rotation to start from; got none")
-    last, each = _descend_from(cascade, crops, starts_of(cascade.space, cascade.frame, rotations))
+    if passes < 1:
+        raise InputError(f"expected at least one pass; got {passes}")
+    space, frame = cascade.space, cascade.frame
+    prepared = vmap(cascade.descriptor.prepare)(crops)
 
     def best(states: State) -> State:
-        chosen = centroid(vmap(partial(landmarks_of, cascade.space))(states))
+        chosen = centroid(vmap(partial(landmarks_of, space))(states))
         return jax.tree.map(lambda values: values[chosen], states)
 
+    def once(states: State, _: None) -> tuple[State, tuple[State, State]]:
+        last, each = descend(cascade, prepared, states)
+        again = vmap(partial(_start_over, cascade))(vmap(best)(last))
+        return jax.tree.map(lambda part: part[:, None], again), (last, each)
+
+    states = _started(cascade, len(crops), starts_of(space, frame, rotations))
+    if passes > 1 and len(rotations) > 1:  # later passes have a single start
+        states, passes = once(states, None)[0], passes - 1
+    if passes == 1:
+        last, each = descend(cascade, prepared, states)
+    else:  # as a loop, which is compiled once
+        last, each = jax.tree.map(lambda part: part[-1], lax.scan(once, states, length=passes)[1])
     return vmap(vmap(best), out_axes=1)(each) if every_step else vmap(best)(last)
 
 
-def _descend_from(cascade: Cascade, crops: UInt8[Array, "faces height width"], starts: Start) -> tuple[State, State]:
-    """`descend` in crops, from the same starts in each of them."""
+def _start_over(cascade: Cascade, state: State) -> State:
+    """Where a next pass starts: the mean face, turned as a fit is if the descriptor turns, with its bounding square."""
+    space, descriptor = cascade.space, cascade.descriptor
+    rotation = space.rotation(state.params) + state.angle if descriptor.turns else jnp.zeros(())
+    upright = jax.tree.map(lambda part: part[0], starts_of(space, cascade.frame, rotation[None]))
+    middle, side = bounding_square(space.landmarks(space.place(upright)))
+    there, as_large = bounding_square(landmarks_of(space, state))
+    scale = as_large / side
+    centre = there + scale * (upright.centre - middle)
+    return state_of(descriptor, space, space.place(Start(centre, upright.scale * scale, rotation)))
+
+
+def fit_starts(
+    cascade: Cascade, crops: UInt8[Array, "faces height width"], starts: Start
+) -> Float[Array, "faces starts landmarks 2"]:
+    """Fit every crop from several starts (a leading axis): the landmarks of every fit."""
+    prepared = vmap(cascade.descriptor.prepare)(crops)
+    fitted, _ = descend(cascade, prepared, _started(cascade, len(crops), starts))
+    return vmap(vmap(partial(landmarks_of, cascade.space)))(fitted)
+
+
+def _started(cascade: Cascade, faces: int, starts: Start) -> State:
+    """States (faces, starts): the same starts for each of so many faces."""
     descriptor, space = cascade.descriptor, cascade.space
     states = vmap(lambda start: state_of(descriptor, space, space.place(start)))(starts)
-    states = jax.tree.map(lambda part: jnp.broadcast_to(part, (len(crops), *part.shape)), states)
-    return descend(cascade, vmap(descriptor.prepare)(crops), states)
+    return jax.tree.map(lambda part: jnp.broadcast_to(part, (faces, *part.shape)), states)

@@ -1,4 +1,4 @@
-"""The parameters of a cascade, as one pytree with a leading step axis."""
+"""The parameters of a cascade, as one pytree: a leading step axis, but each step's weights an array of their own."""
 
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple

@@ -216,27 +216,24 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
     # A comma before key= ends a value, any other is inside one.
     texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
     options = otherwise(method)
-    if kind := texts.pop("descriptor", None):
-        usual = default_descriptor(method, options.initialisations)
-        try:
-            options = replace(options, descriptor=descriptor_like(usual, kind), frame=None)
-        except InputError as error:
-            raise InputError(f"--method {text}: {error}") from None
-    parts: dict[str, Any] = dict(zip(("descriptor", "frame"), seen(method, options), strict=True))
-    known = {key: value for key, value in vars(options).items() if key not in parts}
-    for part in parts.values():
-        known |= vars(part)
-    for key in texts:
-        if key not in known:
-            raise InputError(f"--method {text}: expected key=value with a key among {', '.join(known)}; got {key!r}")
+    kind = texts.pop("descriptor", None)
+    plain = {key: value for key, value in vars(options).items() if key not in ("descriptor", "frame")}
     try:
-        values = {key: _read_like(known[key], key, given) for key, given in texts.items()}
-        of_parts = {name: {key: values.pop(key) for key in vars(part) if key in values} for name, part in parts.items()}
-        options = replace(options, **values)
-        # Not before: what is the default may depend on the other options.
-        parts = dict(zip(parts, seen(method, options), strict=True))
-        changed = {name: replace(parts[name], **keys) for name, keys in of_parts.items() if keys}
-        return method, replace(options, **changed)
+        given = {key: _read_like(default, key, texts.pop(key)) for key, default in plain.items() if key in texts}
+        options = replace(options, **given)
+        if kind:  # not before: which one is usual depends on the other options
+            usual = default_descriptor(method, options.initialisations)
+            descriptor = descriptor_like(usual, kind)
+            options = replace(options, descriptor=None if descriptor == usual else descriptor, frame=None)
+        parts: dict[str, Any] = dict(zip(("descriptor", "frame"), seen(method, options), strict=True))
+        known = [*plain, *(key for part in parts.values() for key in vars(part))]
+        for key in texts:
+            if key not in known:
+                raise InputError(f"expected key=value with a key among {', '.join(known)}; got {key!r}")
+        for name, part in parts.items():
+            keys = {key: _read_like(default, key, texts[key]) for key, default in vars(part).items() if key in texts}
+            options = replace(options, **{name: replace(part, **keys)}) if keys else options
+        return method, options
     except InputError as error:
         raise InputError(f"--method {text}: {error}") from None
 

@@ -165,7 +165,7 @@ def _side(size: int, offset: float, scale: float, crop: int) -> _Side:
     if block < 2:
         return _Side(low, high, 0, 0, 1)
     low = low // block * block  # blocks are counted from the picture's corner
-    if high - low < block:
+    if high - low < block:  # a picture that is lost in its crop is not padded to many times its size
         block = 1
     # Where the picture ends its edge goes on for the rest of a block and one more.
     before, after = block * (first_wanted < 0), -(high - low) % block + block * (last_wanted > last)

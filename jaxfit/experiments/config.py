@@ -245,7 +245,9 @@ def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping
     """The usual options, and descriptor, with what a table says about training."""
     _require_known(where, values, _OPTIONS)
     plain = {key: value for key, value in values.items() if key not in ("descriptor", "frame")}
-    changed = {key: _like(getattr(usual, key), f"{where} {key}", value) for key, value in plain.items()}
+    # The usual rank, none, does not tell that others are whole numbers.
+    defaults = vars(usual) | {"rank": 0}
+    changed = {key: _like(defaults[key], f"{where} {key}", value) for key, value in plain.items()}
     if "descriptor" in values:
         changed["descriptor"] = descriptor = _descriptor(where, descriptor, _table(values, "descriptor", f"{where} "))
     if "frame" in values:

@@ -207,6 +207,8 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
     options = dict(header["descriptor"])
     descriptor = DESCRIPTORS[options.pop("kind")](**options)
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
+    if not steps:
+        raise ModelError("damaged: there are no steps")
     expected = {"biases": (steps, params), "windows": (steps,)}
     if "directions" in tensors:
         rank = tensors["directions"].shape[1]

@@ -90,6 +90,53 @@ def test_without_weights_the_start_comes_back():
     np.testing.assert_allclose(fit_crops(cascade, CROPS), np.broadcast_to(MEAN + FRAME.middle, (4, 4, 2)), atol=1e-5)
 
 
+def square_of(points):
+    low, high = points.min(0), points.max(0)
+    return (low + high) / 2, (high - low).max()
+
+
+@pytest.mark.parametrize("rotations", [None, ROTATIONS], ids=["one start", "several"])
+def test_a_second_pass_starts_where_the_first_one_ended(rotations):
+    """The mean face with the bounding square of the landmarks that were found."""
+    middle, side = square_of(MEAN)
+    expected = fit_crops(CASCADE, CROPS, rotations)
+    for passes in (2, 3):
+        for row, crop in enumerate(CROPS):
+            there, as_large = square_of(np.asarray(expected[row]))
+            scale = as_large / side
+            start = Start(jnp.asarray(there - scale * middle)[None], jnp.asarray(scale)[None], jnp.zeros(1))
+            again = fit_starts(CASCADE, jnp.asarray(crop)[None], start)[0, 0]
+            expected = expected.at[row].set(again)
+        found = fit_crops(CASCADE, CROPS, rotations, passes=passes)
+        assert np.abs(found - fit_crops(CASCADE, CROPS, rotations)).max() > 0.5
+        np.testing.assert_allclose(found, expected, atol=0.02)
+
+
+def test_a_still_cascade_passes_on_the_start():
+    still = replace(CASCADE, weights=tuple(0 * of for of in CASCADE.weights), biases=0 * CASCADE.biases)
+    np.testing.assert_allclose(fit_crops(still, CROPS, passes=3), fit_crops(still, CROPS), atol=1e-4)
+    turned = jnp.float32([0.4])
+    for space in (SPACE, ASM):
+        turning = replace(
+            still,
+            space=space,
+            descriptor=Patch(turns=True),
+            biases=jnp.zeros((3, space.size)),
+            weights=still_weights(space),
+        )
+        once = fit_crops(turning, CROPS, turned)
+        np.testing.assert_allclose(fit_crops(turning, CROPS, turned, passes=2), once, atol=0.02)
+
+
+def still_weights(space):
+    return tuple(jnp.zeros((4 * Patch().size, space.size)) for _ in range(3))
+
+
+def test_no_passes_are_refused():
+    with pytest.raises(InputError, match="at least one pass"):
+        fit_crops(CASCADE, CROPS, passes=0)
+
+
 def test_of_several_starts_the_centroid_of_the_fits_is_kept():
     # fits[k, n] is the fit of crop n from the k-th rotation alone.
     fits = np.stack([fit_crops(CASCADE, CROPS, jnp.asarray([rotation])) for rotation in ROTATIONS])

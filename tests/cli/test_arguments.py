@@ -5,10 +5,11 @@ from dataclasses import replace
 import pytest
 
 from jaxfit.cli.arguments import variant
+from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
-from jaxfit.training import METHODS, Options
+from jaxfit.training import METHODS, Options, seen
 
 GIVEN = Options(ridge=3.0, sigmas=4.0, descriptor=Sift("principal", "vector"), frame=Frame(100, 60.0))
 
@@ -43,6 +44,20 @@ def test_every_option_can_be_given() -> None:
         if key not in ("descriptor", "frame")
     ]
     assert variant(f"sdm:{','.join(told)}", lambda _: Options()) == ("sdm", GIVEN)
+
+
+@pytest.mark.parametrize("kind", DESCRIPTORS)
+def test_windows_of_several_starts_turn_whatever_the_order_of_the_keys(kind: str) -> None:
+    for keys in (f"descriptor={kind},initialisations=3", f"initialisations=3,descriptor={kind}"):
+        method, options = variant(f"sdm:{keys}", lambda _: Options())
+        assert seen(method, options)[0] == replace(DESCRIPTORS[kind](), orientation="face")
+    assert not seen(*variant(f"sdm:descriptor={kind}", lambda _: Options()))[0].turns
+
+
+def test_a_rank_is_a_whole_number() -> None:
+    assert variant("sdm:rank=24", lambda _: GIVEN) == ("sdm", replace(GIVEN, rank=24))
+    with pytest.raises(InputError, match="expected rank"):
+        variant("sdm:rank=2.5", lambda _: GIVEN)
 
 
 @pytest.mark.parametrize(

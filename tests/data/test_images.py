@@ -103,6 +103,13 @@ def test_grey_is_what_the_colours_give(tmp_path, rgb):
             # Colours are rounded on their way from JPEG's luminance, and may be cut off at black and white.
             assert away.mean() < (0.6 if path.suffix == ".jpg" else 1e-9), name
             assert away.max() <= 8, name
+    # OpenCV's TIFF reader rounds 16 bits where others cut them off.
+    deep_tif = read_upright(tmp_path / "deep.tif").astype(int)
+    assert np.abs(deep_tif - cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)).max() <= 1
+    for name in ("deep.png", "alpha.png", *(f"plain{suffix}" for suffix in LOSSLESS)):
+        expected = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+        np.testing.assert_array_equal(read_upright(tmp_path / name), expected, err_msg=name)
+    np.testing.assert_array_equal(read_upright(tmp_path / "grey.png"), rgb[..., 0])
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])

@@ -118,6 +118,15 @@ def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
         config_from(changed(old, new))
 
 
+def test_a_rank_is_a_whole_number() -> None:
+    config = config_from(changed("sigmas = 3", "rank = 24"))
+    rank = config.method("narrow").options.rank
+    assert (rank, type(rank)) == (24, int)
+    assert config_from(config.as_json()) == config
+    with pytest.raises(InputError, match=r"rank: expected something like 0; got 2\.5"):
+        config_from(changed("sigmas = 3", "rank = 2.5"))
+
+
 def test_little_need_be_said() -> None:
     config = config_from(tomllib.loads("[datasets.faces]\ndata = ['pts:a']\n[methods.sdm]"))
     assert config.chosen_steps == config.steps == len(config.methods[0].options.windows)

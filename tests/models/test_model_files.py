@@ -349,6 +349,20 @@ def test_a_failing_disk_leaves_the_old_file_and_nothing_else(tmp_path, monkeypat
     assert path.read_bytes() == before
 
 
+def test_a_model_without_steps_is_refused(tmp_path):
+    model = load("fast68")
+    none = replace(
+        model.cascade,
+        weights=(jnp.zeros((0, 1)),),
+        biases=model.cascade.biases[:0],
+        windows=model.cascade.windows[:0],
+        directions=model.cascade.directions[:0],
+    )
+    save(replace(model, cascade=none), tmp_path / "none.safetensors")
+    with pytest.raises(ModelError, match="there are no steps"):
+        load(tmp_path / "none.safetensors")
+
+
 def test_bundled_models_load():
     for name in bundled():
         found = load(name)
