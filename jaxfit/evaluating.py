@@ -157,6 +157,7 @@ def evaluate(
     initialisations: int = 1,
     rotations: tuple[float, float] = ANY_ROTATION,
     refine: bool = False,
+    passes: int = 1,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
     read: Callable[[Path], np.ndarray] = read_grey,
 ) -> Evaluation:
@@ -172,6 +173,7 @@ def evaluate(
         initialisations: starts for each face, as in ``jaxfit.fit``.
         rotations: lowest and highest rotation of the starts, in degrees.
         refine: as in ``jaxfit.fit``.
+        passes: as in ``jaxfit.fit``.
         progress: called with the stage's name, faces done and faces in all.
         read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads.
 
@@ -187,11 +189,12 @@ def evaluate(
     check_rotations(initialisations, rotations)
 
     def fitted(images: Sequence[Path], boxes: np.ndarray, numbers: np.ndarray) -> list[Fits]:
-        ways: dict[str, Any] = {"initialisations": initialisations, "rotations": rotations, "refine": refine}
+        ways: dict[str, Any] = {"initialisations": initialisations, "rotations": rotations}
+        ways |= {"refine": refine, "passes": passes}
         drawn_by = [kinds[number] for number in numbers]
         return [fit(model, images, boxes, kind=drawn_by, read=read, progress=progress, **ways)]
 
-    compiled = partial(warm_up, model, initialisations=initialisations, refine=refine)
+    compiled = partial(warm_up, model, initialisations=initialisations, refine=refine, passes=passes)
     (evaluation,) = _evaluate(model, faces, boxes, scheme or model.scheme, normaliser, compiled, fitted, progress)
     return evaluation
 

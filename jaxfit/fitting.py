@@ -28,8 +28,6 @@ from jaxfit.shapes.camera_asm import CameraASM
 # devices, one more: batches of the first size for each of them, all at once.
 BATCHES = (64, 8, 1)
 _MOST_AT_ONCE = 8  # each holds a batch and its descriptors
-# Boxes of detectors scatter more than the starts of training: a second pass halves the failures.
-PASSES_OF_FOUND = 2
 
 
 _Arrays = dict[str, np.ndarray]  # what is found in a batch, by its name in `Fits`
@@ -109,7 +107,7 @@ def fit(
             middle.
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
         passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
-            up for rough boxes. By default once from given boxes, and twice from those of a detector.
+            up for rough boxes. By default once from given boxes, and as suits the detector from found ones.
         read: makes an array of a file, in threads; unless told, pictures are turned upright as their EXIF data say.
         progress: called with the stage's name, what is done and what there is to do.
 
@@ -119,16 +117,13 @@ def fit(
     """
     turns = start_rotations(initialisations, rotations)
     require_refinable(model, refine)
-    if passes is None:
-        passes = 1 if boxes is not None else PASSES_OF_FOUND
-    if passes < 1:
+    if passes is not None and passes < 1:
         raise InputError(f"expected at least one pass of the cascade; got {passes}")
-    way = _Way(turns, refine, passes=passes)
     if boxes is not None:
         if detector is not None:
             raise InputError("expected boxes or a detector that finds them; got both")
         faces = faces_to_cut(model, images, boxes, kind or SQUARE, read or read_upright)
-        (fits,) = _fits(model, faces, way, progress)
+        (fits,) = _fits(model, faces, _Way(turns, refine, passes=passes or 1), progress)
         return fits
     if kind is not None:
         raise InputError(
@@ -138,7 +133,13 @@ def fit(
     for each in find.kinds:
         model.placement(each)
     found = find_faces(images, find, read=read or read_image, progress=progress)
+    way = _Way(turns, refine, passes=passes or passes_from(find))
     return _fits_of_found(model, found, images, read or read_upright, way, progress)
+
+
+def passes_from(detector: Detector) -> int:
+    """How often the cascade is run from the boxes of a detector, unless told otherwise."""
+    return 2 if detector.rough else 1
 
 
 def _fits_of_found(
@@ -390,7 +391,7 @@ def warm_up(
     """Compile the model for the batch sizes that ``fit`` uses, all unless told; the first fit is then as fast as the
     others.
 
-    ``passes`` are 2 for fits that find the faces themselves. With ``every_step`` it is for `fitting.fit_steps`, which
+    ``passes`` are those of `fit`: 2 where it finds the faces by Haar. With ``every_step`` it is for `fitting.fit_steps`, which
     has a single start whatever ``initialisations`` says.
 
     Raises:

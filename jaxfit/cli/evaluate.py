@@ -22,6 +22,7 @@ from jaxfit.cli.arguments import (
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.datasets import convert_dataset
+from jaxfit.data.detectors import detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.records import Dataset
 from jaxfit.evaluating import Evaluation, detected_boxes, evaluate, match_boxes, require_scheme, start_boxes
@@ -30,6 +31,7 @@ from jaxfit.evaluation.pose import ANGLES, POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
 from jaxfit.exceptions import InputError
+from jaxfit.fitting import passes_from
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.conversions import CONVERSIONS
@@ -88,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError("expected --boxes or a --detector that finds them; got both")
     folder = out_folder(options.out)
     kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
+    passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
@@ -108,6 +111,7 @@ def run(options: argparse.Namespace) -> int:
                 initialisations=options.initialisations,
                 rotations=tuple(options.rotations),
                 refine=options.refine,
+                passes=passes,
                 progress=bars,
             )
     reports = {spec: {"box_kind": kinds[spec], **_report(result)} for spec, result in results.items()}
@@ -119,6 +123,7 @@ def run(options: argparse.Namespace) -> int:
             "initialisations": options.initialisations,
             "rotations": list(options.rotations),
             "refine": options.refine,
+            "passes": passes,
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))

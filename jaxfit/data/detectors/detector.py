@@ -24,15 +24,16 @@ class Detection:
 
 @runtime_checkable
 class Detector(Protocol):
-    """Finds faces in pictures; may be called in several threads at once.
-
-    Attributes:
-        kinds: of the boxes that it draws.
-    """
+    """Finds faces in pictures; may be called in several threads at once."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """Of the boxes that it draws."""
+        ...
+
+    @property
+    def rough(self) -> bool:
+        """Whether its boxes lie around faces so differently that a second pass of the cascade pays."""
         ...
 
     def __call__(self, image: np.ndarray) -> list[Detection]:

@@ -36,6 +36,11 @@ class DlibHog:
         """One."""
         return (KIND,)
 
+    @property
+    def rough(self) -> bool:
+        """Yes: docs/boxes.md has both."""
+        return True
+
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         if not hasattr(self._of_thread, "detector"):

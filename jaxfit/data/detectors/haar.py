@@ -45,6 +45,11 @@ class Haar:
         """Of the frontal and of the profile cascade."""
         return FRONTAL, PROFILE
 
+    @property
+    def rough(self) -> bool:
+        """Yes: docs/boxes.md has both."""
+        return True
+
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         small, back = _shrunk(to_grey(image))

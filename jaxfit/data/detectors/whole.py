@@ -18,6 +18,11 @@ class Whole:
         """One."""
         return (KIND,)
 
+    @property
+    def rough(self) -> bool:
+        """Yes: docs/boxes.md has both."""
+        return True
+
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The picture itself, as large as it is."""
         height, width = image.shape[:2]

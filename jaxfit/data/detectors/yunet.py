@@ -44,6 +44,11 @@ class YuNet:
         """One kind for all poses."""
         return (KIND,)
 
+    @property
+    def rough(self) -> bool:
+        """No: docs/boxes.md has both."""
+        return False
+
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
