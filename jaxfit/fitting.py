@@ -391,8 +391,8 @@ def warm_up(
     """Compile the model for the batch sizes that ``fit`` uses, all unless told; the first fit is then as fast as the
     others.
 
-    ``passes`` are those of `fit`: 2 where it finds the faces by Haar. With ``every_step`` it is for `fitting.fit_steps`, which
-    has a single start whatever ``initialisations`` says.
+    ``passes`` are those of `fit`: 2 where it finds the faces by Haar. With ``every_step`` it is for
+    `fitting.fit_steps`, which has a single start whatever ``initialisations`` says.
 
     Raises:
         InputError: no initialisations, or two, or nothing to refine.
