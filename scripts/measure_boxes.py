@@ -1,8 +1,7 @@
 """Measure how faces lie in the boxes of each detector, and write it where ``jaxfit.data.placements`` finds it.
 
 Datasets give the statistics of their landmark scheme, and of those that it can be converted to. Datasets of --lift join
-them with the landmarks that a 3D head model gives their faces, so that turned ones count, too. A table of how many
-faces each detector finds goes to standard output.
+them with the landmarks that a 3D head model gives their faces, so that turned ones count, too.
 """
 
 import argparse
@@ -20,11 +19,10 @@ from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data import placements
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.detectors import Detection, detector_named
+from jaxfit.data.detectors import Detection
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluating import detected_boxes
-from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import InputError
 from jaxfit.lifting import lift_labels
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
@@ -50,32 +48,21 @@ def run(arguments: argparse.Namespace) -> int:
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
-    sets = [dataset.spec for dataset in datasets for face in dataset.faces if face.complete]
     for dataset in read_datasets(arguments.lift, None):
-        lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(DEFAULT_HEAD))
-        faces += lifted.faces
-        sets += [dataset.spec] * len(lifted.faces)
+        faces += lift_labels(dataset.faces, dataset.scheme, scheme, load_head(DEFAULT_HEAD)).faces
     out = Path(arguments.out)
     known = json.loads(out.read_text("utf-8")) if out.exists() else {}
-    rows = []
     for spec in arguments.detectors:
         found = matches(spec, faces)
-        for name in dict.fromkeys(sets):
-            of_set = [detection for detection, its in zip(found, sets, strict=True) if its == name]
-            kinds = {
-                kind: sum(of is not None and of.kind == kind for of in of_set) for kind in detector_named(spec).kinds
-            }
-            rows += [
-                {"faces of": Path(name.partition(":")[2]).name, "boxes": kind, "found": count / len(of_set)}
-                for kind, count in kinds.items()
-            ]
+        print(f"{spec}: {sum(detection is not None for detection in found)} of {len(faces)} faces found")
         for other in convertible(scheme):
             labels = convert(np.stack([face.landmarks for face in faces]), scheme, other)
-            known.setdefault(other.name, {}).update(measured(found, labels))
+            of_scheme = known.setdefault(other.name, {})
+            # What was measured on a scheme's own labels is not replaced by converted ones.
+            of_scheme |= measured(found, labels) | (of_scheme if other != scheme else {})
     with atomic_write(out, "w") as file:
         json.dump(known, file, indent=1, sort_keys=True)
         file.write("\n")
-    print(markdown_table(rows, {"faces of": "", "boxes": "", "found": ".1%"}))
     return 0
 
 
