@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxfit.cli.arguments import (
     add_boxes,
+    add_detector,
     add_initialisations,
     add_refine,
     given_boxes,
@@ -17,16 +18,16 @@ from jaxfit.cli.arguments import (
     untrained_starts,
 )
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.detectors import detect_faces
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
 from jaxfit.data.images import find_images, read_image, write_image
 from jaxfit.data.outputs import write_csv
 from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.pts import write_pts
 from jaxfit.evaluation.pose import ANGLES
-from jaxfit.exceptions import ImageError
-from jaxfit.fitting import Fits, fit, require_refinable
+from jaxfit.exceptions import ImageError, InputError
+from jaxfit.fitting import Fits, fit, passes_from, require_refinable
 from jaxfit.models.files import load
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 
 # Pictures that are read, fitted and written together; it bounds memory.
 _CHUNK = 16
@@ -59,7 +60,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     command.add_argument("pictures", nargs="+", metavar="IMAGE_OR_DIR", help="pictures, or folders of pictures")
     command.add_argument("--model", default="sdm68", help="a bundled model's name or a model file (default: sdm68)")
-    add_boxes(command, "faces are found by OpenCV's frontal and profile Haar cascades")
+    add_boxes(command, "a detector finds the faces")
+    add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
     add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
@@ -71,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
     model = load(options.model)
     require_refinable(model, options.refine)
     boxes = given_boxes(options, model)
+    detector = _detector(options, model)
     pictures = find_images(options.pictures)
     folder = out_folder(options.out)
     for part in ("pts", "overlays"):
@@ -85,10 +88,10 @@ def run(options: argparse.Namespace) -> int:
             faces = []
             for picture in pictures[first : first + _CHUNK]:
                 try:
-                    faces += _faces(picture, names[picture], boxes, options.box_kind)
+                    faces += _faces(picture, names[picture], boxes, options.box_kind, detector)
                 except ImageError as error:
                     problems.append(str(error))
-            fits = _fit(model, faces, options)
+            fits = _fit(model, faces, options, detector)
             problems += [f"{faces[number].picture}: {why}" for number, why in fits.problems.items()]
             problems += _write(folder, model, faces, fits)
             fitted = [int(number) for number in np.flatnonzero(fits.ok)]
@@ -99,11 +102,6 @@ def run(options: argparse.Namespace) -> int:
     write_csv(folder / "landmarks.csv", ["image", "face", "box", "x", "y", "width", "height", *points], rows)
     if model.solid is not None:
         _write_heads(folder / "heads.csv", model, heads)
-    if unknown := sorted({str(row[2]) for row in rows} - model.placements.keys()):
-        problems.append(
-            f"{options.model} does not know how faces lie in {', '.join(unknown)} boxes and took them for squares "
-            "around the landmarks: do not trust these fits, give boxes with --boxes"
-        )
     if boxes is not None and (unused := boxes.keys() - {picture.name for picture in pictures}):
         problems.append(f"{options.boxes}: rows for pictures that were not given: {len(unused)}, such as {min(unused)}")
     report_problems(untrained_starts(options.model, model, options.initialisations) + problems)
@@ -124,12 +122,28 @@ def _unique_names(pictures: Sequence[Path]) -> dict[Path, str]:
     return names
 
 
-def _faces(picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] | None, kind: str) -> list[_Face]:
-    """The faces of a picture: those given, or those that the detectors find."""
+def _detector(options: argparse.Namespace, model: Model) -> Detector:
+    """What finds the faces if there are no boxes.
+
+    Raises:
+        InputError: there is none of this name, the model does not know its boxes, or there are boxes.
+    """
+    if options.boxes is not None and options.detector is not None:
+        raise InputError("expected --boxes or a --detector that finds them; got both")
+    detector = detector_named(options.detector or DEFAULT_DETECTOR)
+    for kind in detector.kinds if options.boxes is None else ():
+        model.placement(kind)
+    return detector
+
+
+def _faces(
+    picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] | None, kind: str, detector: Detector
+) -> list[_Face]:
+    """The faces of a picture: those given, or those that the detector finds."""
     rgb = read_image(picture)
     if boxes is None:
-        found = [(face.box, str(face.kind)) for face in detect_faces(rgb)]
-        nothing = "no face found; give face boxes with --boxes"
+        found = [(face.box, face.kind) for face in detector(rgb)]
+        nothing = "no face found; give face boxes with --boxes, or another --detector"
     else:
         found = [(box, kind) for box in boxes.get(picture.name, [])]
         nothing = "no row with this file name in --boxes"
@@ -138,15 +152,14 @@ def _faces(picture: Path, name: str, boxes: Mapping[str, Sequence[np.ndarray]] |
     return [_Face(picture, name, number, box_kind, box, rgb) for number, (box, box_kind) in enumerate(found, 1)]
 
 
-def _fit(model: Model, faces: Sequence[_Face], options: argparse.Namespace) -> Fits:
+def _fit(model: Model, faces: Sequence[_Face], options: argparse.Namespace, detector: Detector) -> Fits:
     """The fits of faces found in pictures."""
-    # A model that was trained where a detector found too few faces does not know how its boxes lie.
-    kinds = [face.kind if face.kind in model.placements else SQUARE for face in faces]
     return fit(
         model,
         [face.rgb for face in faces],
         np.array([face.box for face in faces]).reshape(-1, 4),
-        kind=kinds,
+        kind=[face.kind for face in faces],
+        passes=passes_from(detector) if options.boxes is None else 1,
         initialisations=options.initialisations,
         rotations=tuple(options.rotations),
         refine=options.refine,

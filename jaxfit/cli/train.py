@@ -87,8 +87,9 @@ def run(options: argparse.Namespace) -> int:
         print(f"3D shape model: {load_head(options.head).source}")
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
-    print(f"boxes it knows: {', '.join(trained.model.placements)}")
-    if not options.no_haar and len(trained.model.placements) == 1:
+    known = trained.model.known_placements
+    print(f"boxes it knows: {', '.join(known)}")
+    if not options.no_haar and len(known) == 1:
         print("the Haar detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
 
