@@ -56,7 +56,7 @@ class Model:
         known = self.known_placements
         if kind not in known:
             raise InputError(
-                f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}: give it boxes of a kind that it "
-                "knows, or teach it this one (jaxfit.calibrate_boxes)"
+                f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}: give it boxes of a kind that "
+                "it knows, or teach it this one (jaxfit.calibrate_boxes)"
             )
         return known[kind]
