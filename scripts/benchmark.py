@@ -141,7 +141,8 @@ def run(arguments: argparse.Namespace) -> int:
     text = "\n\n".join(
         [
             f"{made_with()} 1-minute load average when it began: {load_before:.2f}. "
-            f"Warm; medians of {arguments.repetitions}.",
+            f"Warm; medians of {arguments.repetitions}, from files of {min(3, arguments.repetitions)}; first results of "
+            f"{FIRSTS} processes, one after the other.",
             *speed_tables(rows, missing, first),
             *error_tables(errors, names, faces, arguments.normaliser),
             *stages,
@@ -344,7 +345,8 @@ def plot_speeds(
     for other, size in zip(others, ("steps", "landmarks"), strict=True):
         for name, found in sizes.items():
             if rates := found.get(size):
-                other.plot(*zip(*rates, strict=True), marker="o", label=f"{name}, batches of {BATCHES[0]}")
+                label = f"{name}, batches of {BATCHES[0]}, on {max(row['cores'] for row in rows)} cores"
+                other.plot(*zip(*rates, strict=True), marker="o", label=label)
         other.set_ylim(bottom=0)
         other.set(xlabel=size, ylabel="faces/s")
         other.legend()
