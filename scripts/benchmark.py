@@ -141,8 +141,8 @@ def run(arguments: argparse.Namespace) -> int:
     text = "\n\n".join(
         [
             f"{made_with()} 1-minute load average when it began: {load_before:.2f}. "
-            f"Warm; medians of {arguments.repetitions}, from files of {min(3, arguments.repetitions)}; first results of "
-            f"{FIRSTS} processes, one after the other.",
+            f"Warm; medians of {arguments.repetitions}, from files of {min(3, arguments.repetitions)}; first results "
+            f"of {FIRSTS} processes, one after the other.",
             *speed_tables(rows, missing, first),
             *error_tables(errors, names, faces, arguments.normaliser),
             *stages,
