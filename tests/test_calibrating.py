@@ -11,7 +11,7 @@ from jaxfit.calibrating import evaluate_in_own_boxes, frontal
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import write_image
 from jaxfit.data.records import FaceRecord
-from jaxfit.shapes.schemes import NO_LANDMARKS
+from jaxfit.shapes.schemes import NO_LANDMARKS, scheme_named
 
 FACES = 10
 
@@ -72,7 +72,8 @@ def test_what_cannot_be_measured_is_left_out_until_too_little_is_left(boxed: lis
 
 def test_models_that_do_not_know_the_detector_are_refused(boxed: list[FaceRecord]) -> None:
     model = jaxfit.load("sdm68")
-    stranger = replace(model, placements={"square": model.placement("square")})
+    # Of landmarks that nobody has measured boxes for, either.
+    stranger = replace(model, scheme=scheme_named("points68"), placements={"square": model.placement("square")})
     with pytest.raises(jaxfit.InputError, match="haar-frontal"):
         jaxfit.calibrate_boxes(stranger, boxed)
 

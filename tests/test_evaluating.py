@@ -148,7 +148,16 @@ def test_no_faces_have_no_errors(head_models) -> None:
 def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, heads, monkeypatch) -> None:
     # 68 points that no cascade finds in time, converted to the labels' 21.
     model, rng = replace(head_models["regression3d"], scheme=IBUG68), np.random.default_rng(0)
-    fits = jaxfit.Fits(rng.normal(size=(2, 68, 2)), {}, rng.normal(size=(2, 68, 3)), np.ones((2, 3)), np.ones(2))
+    fits = jaxfit.Fits(
+        rng.normal(size=(2, 68, 2)),
+        problems={},
+        pictures=np.arange(2),
+        boxes=np.ones((2, 4)),
+        kinds=("square",) * 2,
+        landmarks_3d=rng.normal(size=(2, 68, 3)),
+        pose=np.ones((2, 3)),
+        scale=np.ones(2),
+    )
     monkeypatch.setattr("jaxfit.evaluating.fit", lambda *_, **__: fits)
     monkeypatch.setattr("jaxfit.evaluating.warm_up", lambda *_, **__: None)
     result = jaxfit.evaluate(model, heads[:2], start_boxes(heads[:2]), scheme=head_models["regression3d"].scheme)

@@ -172,7 +172,7 @@ def test_what_an_export_says_of_itself(folder: Path) -> None:
     tensors = unpack(data)
     programs = {name for name, tensor in tensors.items() if tensor.dtype == np.uint8}
     assert programs == {f"fit_{size}" for size in header["batches"]} == {"fit_64", "fit_8", "fit_1"}
-    assert tensors["weights"].dtype == np.float16
+    assert tensors["weights.0"].dtype == np.float16
     for name in programs:
         program = export.deserialize(bytearray(tensors[name]))
         assert program.calling_convention_version == header["calling_convention"]
