@@ -16,7 +16,10 @@ import jax, numpy as np
 name, devices, target = sys.argv[1], int(sys.argv[2]), sys.argv[3]
 jax.config.update("jax_num_cpu_devices", devices)
 import jaxfit
+from jaxfit import fitting
 from jaxfit.fitting import batch_sizes
+# Large batches whatever the number of threads: those of other sizes are rounded differently.
+fitting.reading_threads = lambda count: 1
 assert batch_sizes()[0] == 64 * devices
 rng = np.random.default_rng(0)
 pictures = [rng.integers(0, 256, (90, 90), dtype=np.uint8) for _ in range(138)]
@@ -24,7 +27,6 @@ fits = jaxfit.fit(jaxfit.load(name), pictures, np.tile([15.0, 15.0, 60.0, 60.0],
 assert len(jax.local_devices()) == devices and fits.ok.all()
 np.save(target, fits.landmarks if fits.landmarks_3d is None else fits.landmarks_3d)
 # Few faces are computed where the caller says, though in threads.
-from jaxfit import fitting
 used, find = set(), fitting._find
 def seen(*given):
     found = find(*given)
@@ -46,5 +48,4 @@ def test_devices_share_the_work_and_find_the_same(name: str, tmp_path: Path) -> 
         target = tmp_path / f"{devices}.npy"
         subprocess.run([sys.executable, "-c", FIT, name, str(devices), str(target)], check=True, timeout=300)
         found.append(np.load(target))
-    # Batches of other sizes are rounded differently, which may move a gradient to the next orientation bin.
-    np.testing.assert_allclose(found[1], found[0], atol=0.05)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-3)

@@ -73,8 +73,8 @@ def run(options: argparse.Namespace) -> int:
     model = load(options.model)
     require_refinable(model, options.refine)
     boxes = given_boxes(options, model)
-    detector = _detector(options, model)
     pictures = find_images(options.pictures)
+    detector = _detector(options, model)
     folder = out_folder(options.out)
     for part in ("pts", "overlays"):
         out_folder(str(folder / part))
