@@ -129,7 +129,7 @@ def learn_confidence(
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
         trials, clues = _fitted(trained, drawn, _Project(projection), told)
-        seen.append(_Seen(clues, trials.good))
+        seen.append(_Seen(clues, trials.good, trials.starts))
     progress("learning how likely fits are good", 0, 1)
     confidence = _learned(seen, projection, seed) if projection else None
     progress("learning how likely fits are good", 1, 1)
@@ -170,7 +170,11 @@ def training_of(model: Model) -> tuple[str, Options]:
         InputError: it does not say.
     """
     known = {field.name for field in fields(Options)}
-    told = {name: tuple(v) if isinstance(v, list) else v for name, v in model.training.items() if name in known}
+    told: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in model.training.items()
+        if name in known
+    }
     if model.training.get("method") not in METHODS or "windows" not in told:
         raise InputError(f"expected a model that says how it was trained, as jaxfit.train makes; got {model.training}")
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
@@ -187,10 +191,11 @@ class _Drawn(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """The clues (N, …), reduced to principal components and moves, of N fits, and which of them are good."""
+    """The clues (N, …) of N fits, reduced to principal components and moves, which are good, and how each began."""
 
     clues: np.ndarray
     good: np.ndarray
+    starts: np.ndarray
 
 
 @jax.tree_util.register_dataclass
@@ -317,7 +322,7 @@ def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
     return (rng.uniform(40, 210) + contrast * (picture - picture.mean()) + grain).clip(0, 255).astype(np.uint8)
 
 
-@partial(jax.jit)
+@jax.jit
 def _tried(
     model: tuple[Any, Any], crops: Array, turns: Array | None
 ) -> tuple[Float[Array, "faces landmarks 2"], Array]:
@@ -343,10 +348,9 @@ def _fitted(model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress) -> 
             made.append(np.asarray(found[1])[:left])
     progress("fitting", count, count)
     truth, starts, faces = (np.concatenate([part] * len(ways)) for part in drawn[1:])
-    errors = nmed(np.concatenate(landmarks), np.nan_to_num(truth), model.scheme)
-    errors = np.where(starts == PATTERN, np.inf, errors)
-    of_all = np.concatenate(made)
-    return Trials(errors, starts, faces, np.full(len(errors), np.nan)), of_all
+    # Where there is no truth nothing can be measured: no face.
+    errors = np.nan_to_num(nmed(np.concatenate(landmarks), truth, model.scheme), nan=np.inf)
+    return Trials(errors, starts, faces, np.full(len(errors), np.nan)), np.concatenate(made)
 
 
 def _rotations(model: Model) -> tuple[float, float]:
@@ -377,20 +381,26 @@ class _Network(NamedTuple):
 
 
 def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confidence:
-    """The confidence learned from the fits of several folds: calibrated on each by a network that learned from the
-    others, then learned from all."""
-    clues, good = np.concatenate([fold.clues for fold in seen]), np.concatenate([fold.good for fold in seen])
-    if good.all() or not good.any():
-        raise InputError(f"expected good and bad fits to learn from; {good.sum()} of {len(good)} are good")
-    finite = np.isfinite(clues).all(1)
-    mean, deviation = clues[finite].mean(0), clues[finite].std(0) + 1e-6
-    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(seen)])[finite]
-    inputs, good = ((clues[finite] - mean) / deviation).astype(np.float32), good[finite]
+    """The confidence learned from the fits of several folds: learned from all, and calibrated on those of detected
+    faces in each, by a network that learned from the others."""
+    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(seen)])
+    clues, good, starts = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    finite = np.isfinite(clues).all(1)  # what diverges is no fit
+    clues, good, starts, folds = clues[finite], good[finite], starts[finite], folds[finite]
+    detected = starts == DETECTED
+    if good[detected].all() or not good[detected].any():
+        raise InputError(
+            "expected good and bad fits to learn from: with errors (NMED over the outer eye corners) below and above "
+            f"{LIMIT}; of {detected.sum()} fits of faces {good[detected].sum()} are good; give more faces"
+        )
+    mean, deviation = clues.mean(0), clues.std(0) + 1e-6
+    inputs = ((clues - mean) / deviation).astype(np.float32)
     logits = np.zeros(len(good))
     for fold in range(len(seen)):
         held_out = folds == fold
         logits[held_out] = _trained(inputs[~held_out], good[~held_out], seed)(jnp.asarray(inputs[held_out]))
-    slope, shift = _platt(logits, good)
+    # What confidences are mostly asked for: among all fits, the easy ones would outvote the doubtful.
+    slope, shift = _platt(logits[detected], good[detected])
     network = _trained(inputs, good, seed)
     axes = projection.axes.shape[1]
     weights = np.asarray(network.weights, np.float64) / deviation[:, None]
