@@ -25,6 +25,7 @@ from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
 from jaxfit.training import Options, Trained, train
+from jaxfit.trusting import Trials, learn_confidence, try_fits
 
 __all__ = [
     "DatasetError",
@@ -41,6 +42,7 @@ __all__ = [
     "ModelError",
     "Options",
     "Trained",
+    "Trials",
     "bundled",
     "bundled_heads",
     "calibrate_boxes",
@@ -54,6 +56,7 @@ __all__ = [
     "fit_crops",
     "fit_face",
     "fit_heads",
+    "learn_confidence",
     "lift_labels",
     "load",
     "load_exported",
@@ -63,5 +66,6 @@ __all__ = [
     "save",
     "save_head",
     "train",
+    "try_fits",
     "warm_up",
 ]

@@ -37,6 +37,7 @@ _UNITS = {
     "pose": "degrees: roll clockwise as seen, pitch up, yaw with the nose to the image's left",
     "scale": "crop pixels per pixel of the canonical face",
     "b": "coefficients of the 3D shape model",
+    "confidence": "probability that the fit is good",
 }
 
 
@@ -160,13 +161,14 @@ def load_exported(path: str | Path) -> Exported:
 
 def _program(model: Model, turns: jax.Array, tensors: dict[str, np.ndarray], size: int) -> export.Exported:
     """The function from ``size`` crops and the model's arrays, float32 by name, to what is found, by name."""
-    leaves, structure = jax.tree_util.tree_flatten_with_path({"cascade": model.cascade, "head": model.head})
-    # What names of model files are made of: fields, in those of a cascade or a head.
+    whole = {"cascade": model.cascade, "head": model.head, "confidence": model.confidence}
+    leaves, structure = jax.tree_util.tree_flatten_with_path(whole)
+    # What names of model files are made of: fields, in those of a cascade, a head or a confidence.
     names = [jax.tree_util.keystr(at, simple=True, separator=".").removeprefix("cascade.") for at, _ in leaves]
 
     def fit(crops: jax.Array, arrays: dict[str, jax.Array]) -> dict[str, jax.Array]:
         parts = jax.tree.unflatten(structure, [arrays[name] for name in names])
-        return find(parts["cascade"], parts["head"], crops, turns)
+        return find(parts["cascade"], parts["head"], crops, turns, confidence=parts["confidence"])
 
     side = model.cascade.frame.crop
     # Arguments, and not constants of the programs: the file then holds them once, as float16, and not for each size.

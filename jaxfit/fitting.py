@@ -13,6 +13,7 @@ import numpy as np
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from numpy.typing import ArrayLike
 
+from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.cascade.model import Cascade
 from jaxfit.cropping import CutFaces, Faces, Images, Read, cores, cutting, faces_to_cut, in_order, reading_threads
@@ -48,6 +49,8 @@ class Fits:
         pose: (N, 3) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
         scale: (N,) s of Eq. 15, pixels of the picture per pixel of the canonical face.
         b: (N, M) coefficients of the 3D shape model, ``model.solid.model``.
+        confidence: (N,) the probability, in [0, 1], that the fit is a good one, as ``jaxfit.learn_confidence`` says;
+            NaN for faces not fitted, None for models that do not know it and for fits after every step.
     """
 
     landmarks: np.ndarray
@@ -59,11 +62,17 @@ class Fits:
     pose: np.ndarray | None = None
     scale: np.ndarray | None = None
     b: np.ndarray | None = None
+    confidence: np.ndarray | None = None
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """(N,) bool: which faces were fitted, well or not."""
+        return np.isfinite(self.landmarks).all((1, 2))
 
     @property
     def ok(self) -> np.ndarray:
-        """(N,) bool: which faces were fitted."""
-        return np.isfinite(self.landmarks).all((1, 2))
+        """(N,) bool: which faces were fitted, and rather well than not if the model has a confidence in its fits."""
+        return self.fitted if self.confidence is None else self.fitted & (self.confidence >= 0.5)
 
     def __len__(self) -> int:
         return len(self.landmarks)
@@ -222,7 +231,7 @@ def _fits(
     """The fits of the whole cascade, or after each step."""
     count = len(faces)
     steps = len(model.cascade.windows) if way.every_step else 1
-    fits = [_unfitted(model, faces) for _ in range(steps)]
+    fits = [_unfitted(model, faces, way) for _ in range(steps)]
     compute = _computing(model, way, count)
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
     free = Semaphore(computed_at_once())
@@ -298,12 +307,14 @@ def require_refinable(model: Model, refine: bool) -> None:
         raise InputError("refine: only models of the method alignment3d align a 3D shape that could be refined")
 
 
-def _unfitted(model: Model, faces: Faces) -> Fits:
+def _unfitted(model: Model, faces: Faces, way: _Way) -> Fits:
     """Fits of faces of which nothing is known yet: NaN."""
     shapes: dict[str, tuple[int, ...]] = {"landmarks": (model.scheme.count, 2)}
     if model.solid is not None:
         modes = len(model.solid.model.deviations)
         shapes |= {"landmarks_3d": (model.scheme.count, 3), "pose": (3,), "scale": (), "b": (modes,)}
+    if model.confidence is not None and not way.every_step:
+        shapes["confidence"] = ()
     nothing = {name: np.full((len(faces), *shape), np.nan) for name, shape in shapes.items()}
     return Fits(problems={}, pictures=np.arange(len(faces)), boxes=faces.boxes, kinds=faces.kinds, **nothing)
 
@@ -337,7 +348,7 @@ def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], di
     Batches that are larger than one device's are shared out to all devices, and the model with them: if there will be
     such a batch among ``count`` faces.
     """
-    parts = model.cascade, model.head
+    parts = model.cascade, model.head, model.confidence
     if len(jax.local_devices()) == 1 or count < batch_sizes()[0]:
         return lambda crops: _find(*parts, crops, *way, None)
     mesh = _mesh()
@@ -356,6 +367,7 @@ def _computing(model: Model, way: _Way, count: int) -> Callable[[np.ndarray], di
 def _find(
     cascade: Cascade,
     head: CameraASM | None,
+    confidence: Confidence | None,
     crops: jax.Array,
     turns: jax.Array | None,
     refine: bool,
@@ -365,19 +377,25 @@ def _find(
 ) -> dict[str, jax.Array]:
     """What is found in crops; by each device of the mesh in its share of them."""
 
-    def of_share(cascade: Cascade, head: CameraASM | None, turns: jax.Array | None, crops: jax.Array) -> dict:
-        return find(cascade, head, crops, turns, refine, every_step, passes)
+    def of_share(
+        cascade: Cascade,
+        head: CameraASM | None,
+        confidence: Confidence | None,
+        turns: jax.Array | None,
+        crops: jax.Array,
+    ) -> dict:
+        return find(cascade, head, crops, turns, refine, every_step, passes, confidence)
 
     if mesh is not None:
         everything, faces = PartitionSpec(), PartitionSpec("faces")
         of_share = jax.shard_map(
             of_share,
             mesh=mesh,
-            in_specs=(everything, everything, everything, faces),
+            in_specs=(everything, everything, everything, everything, faces),
             out_specs=faces,
             check_vma=False,  # loops begin with constants, which all devices share
         )
-    return of_share(cascade, head, turns, crops)
+    return of_share(cascade, head, confidence, turns, crops)
 
 
 def warm_up(

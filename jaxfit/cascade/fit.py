@@ -9,6 +9,7 @@ from jax import lax, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
 
+from jaxfit.cascade.confidence import Clues, Confidence, moves_of
 from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
@@ -107,26 +108,44 @@ def advanced(descriptor: Descriptor, space: ShapeSpace, state: State, step: Floa
     return followed(descriptor, space, State(space.advance(state.params, step), state.angle))
 
 
-def descend(cascade: Cascade, prepared: Any, states: State) -> tuple[State, State]:
-    """The whole cascade, from states (faces, starts) in crops (faces) that the descriptor has prepared.
+class Descent(NamedTuple):
+    """How a cascade went in a batch of crops.
 
-    Returns:
-        The states after the last step; and those after each step, in a leading axis: what cascades of fewer steps
-        would end with.
+    Attributes:
+        first: states (faces, starts) that it began with.
+        last: those after the last step.
+        each: those after each step, in a leading axis: what cascades of fewer steps would end with.
+        features: what the last step looked at; that costs nothing where nobody wants to know.
     """
+
+    first: State
+    last: State
+    each: State
+    features: Float[Array, "faces starts features"]
+
+
+def descend(cascade: Cascade, prepared: Any, states: State) -> Descent:
+    """The whole cascade, from states (faces, starts) in crops (faces) that the descriptor has prepared."""
     descriptor, space = cascade.descriptor, cascade.space
     move = vmap(vmap(partial(advanced, descriptor, space)))
 
-    def step(states: State, part: tuple[Array, Array, Array | None, Scalar]) -> tuple[State, State]:
+    def step(
+        carried: tuple[State, Array], part: tuple[Array, Array, Array | None, Scalar]
+    ) -> tuple[tuple[State, Array], State]:
+        states, _ = carried
         number, bias, directions, window = part
         features = features_of(descriptor, space, prepared, states, window)
         regressors = [Regressor(weights, bias, directions) for weights in cascade.weights]
         # All faces and starts at once, so that the weights, megabytes, are read once.
         states = move(states, lax.switch(number, [regressor.predict for regressor in regressors], features))
-        return states, states
+        return (states, features), states
 
     numbers = jnp.arange(len(cascade.weights))
-    return lax.scan(step, states, (numbers, cascade.biases, cascade.directions, cascade.windows))
+    unseen = jnp.zeros((*states.angle.shape, cascade.weights[0].shape[0]))
+    (last, features), each = lax.scan(
+        step, (states, unseen), (numbers, cascade.biases, cascade.directions, cascade.windows)
+    )
+    return Descent(states, last, each, features)
 
 
 def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
@@ -142,7 +161,7 @@ def fit_face(cascade: Cascade, crop: Crop, params: Params) -> Params:
     descriptor, space = cascade.descriptor, cascade.space
     alone = partial(jax.tree.map, lambda part: part[None])
     state = alone(alone(state_of(descriptor, space, params)))
-    fitted = jax.tree.map(lambda part: part[0, 0], descend(cascade, alone(descriptor.prepare(crop)), state)[0])
+    fitted = jax.tree.map(lambda part: part[0, 0], descend(cascade, alone(descriptor.prepare(crop)), state).last)
     if not descriptor.turns:
         return fitted.params
     if space.closed_under_rotation:
@@ -244,8 +263,8 @@ def fit_crops(
     Raises:
         InputError: crops of another size, no rotations, or no passes.
     """
-    landmarks = vmap(partial(landmarks_of, cascade.space))
-    return (vmap(landmarks) if every_step else landmarks)(_best(cascade, crops, rotations, every_step, passes))
+    descent = _descended(cascade, crops, rotations, passes)
+    return _landmarks(cascade, _best(cascade, descent, every_step), every_step)
 
 
 def solid_of(cascade: Cascade, head: CameraASM | None) -> CameraASM | None:
@@ -261,11 +280,33 @@ def find(
     refine: bool = False,
     every_step: bool = False,
     passes: int = 1,
+    confidence: Confidence | None = None,
 ) -> dict[str, Array]:
-    """All that a model finds in a batch of crops, by its name in `Heads`: the landmarks alone where nothing is 3D."""
+    """All that a model finds in a batch of crops, by its name in `Heads`: the landmarks alone where nothing is 3D.
+
+    With a ``confidence`` also that, (faces,), unless fits after every step are asked for.
+    """
+    descent = _descended(cascade, crops, rotations, passes)
+    best = _best(cascade, descent, every_step)
     if solid_of(cascade, head) is None:
-        return {"landmarks": fit_crops(cascade, crops, rotations, every_step, passes)}
-    return fit_heads(cascade, crops, rotations, head, refine, every_step, passes)._asdict()
+        found = {"landmarks": _landmarks(cascade, best, every_step)}
+    else:
+        found = _heads(cascade, head, best, refine, every_step)._asdict()
+    if confidence is not None and not every_step:
+        found["confidence"] = vmap(confidence)(_clues(cascade, descent))
+    return found
+
+
+@jax.jit
+def find_clues(
+    cascade: Cascade,
+    crops: UInt8[Array, "faces height width"],
+    rotations: Float[Array, "starts"] | None = None,
+) -> tuple[Float[Array, "faces landmarks 2"], Clues]:
+    """What a model's confidence learns from: the landmarks that `fit_crops` gives, with the same arguments, and the
+    clues of these fits."""
+    descent = _descended(cascade, crops, rotations, passes=1)
+    return _landmarks(cascade, _best(cascade, descent, every_step=False), every_step=False), _clues(cascade, descent)
 
 
 class Heads(NamedTuple):
@@ -312,6 +353,18 @@ def fit_heads(
     Raises:
         InputError: crops of another size, no rotations, no passes, a 2D cascade without a head, or nothing to refine.
     """
+    descent = _descended(cascade, crops, rotations, passes)
+    return _heads(cascade, head, _best(cascade, descent, every_step), refine, every_step)
+
+
+def _landmarks(cascade: Cascade, states: State, every_step: bool) -> Float[Array, "faces *steps landmarks 2"]:
+    """The landmarks of states (faces), or (faces, steps)."""
+    landmarks = vmap(partial(landmarks_of, cascade.space))
+    return (vmap(landmarks) if every_step else landmarks)(states)
+
+
+def _heads(cascade: Cascade, head: CameraASM | None, states: State, refine: bool, every_step: bool) -> Heads:
+    """What stands in `Heads`, of states (faces), or (faces, steps)."""
     space, solid = cascade.space, solid_of(cascade, head)
     if refine and head is None:
         raise InputError("expected a 3D shape model that is aligned to landmarks: only alignments can be refined")
@@ -326,18 +379,37 @@ def fit_heads(
 
     # Alignments take rounds until they converge: side by side, all would take as many as the slowest.
     each = partial(lax.map, heads, batch_size=_ALIGNED_AT_ONCE)
-    states = _best(cascade, crops, rotations, every_step, passes)
     return lax.map(each, states) if every_step else each(states)
 
 
-def _best(
-    cascade: Cascade,
-    crops: UInt8[Array, "faces height width"],
-    rotations: Float[Array, "starts"] | None,
-    every_step: bool,
-    passes: int,
-) -> State:
+def _clues(cascade: Cascade, descent: Descent) -> Clues:
+    """The clues (faces) of the best fits."""
+    landmarks = partial(landmarks_of, cascade.space)
+    fits = vmap(vmap(landmarks))(descent.last)
+    begun = jax.tree.map(lambda first, each: jnp.concatenate([first[None], each]), descent.first, descent.each)
+
+    def of_face(fits: Array, path: State, features: Array) -> Clues:
+        chosen = centroid(fits)
+        of_chosen = jax.tree.map(lambda values: values[:, chosen], path)
+        return Clues(features[chosen], moves_of(vmap(landmarks)(of_chosen), fits))
+
+    return vmap(of_face, (0, 1, 0))(fits, begun, descent.features)
+
+
+def _best(cascade: Cascade, descent: Descent, every_step: bool) -> State:
     """The state (faces) of each crop's best fit; with ``every_step`` (faces, steps), of the best after each step."""
+
+    def best(states: State) -> State:
+        chosen = centroid(vmap(partial(landmarks_of, cascade.space))(states))
+        return jax.tree.map(lambda values: values[chosen], states)
+
+    return vmap(vmap(best), out_axes=1)(descent.each) if every_step else vmap(best)(descent.last)
+
+
+def _descended(
+    cascade: Cascade, crops: UInt8[Array, "faces height width"], rotations: Float[Array, "starts"] | None, passes: int
+) -> Descent:
+    """The last pass of `descend` in crops, the first from starts of these rotations, from an upright one if None."""
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
@@ -346,26 +418,20 @@ def _best(
         raise InputError("expected at least one rotation to start from; got none")
     if passes < 1:
         raise InputError(f"expected at least one pass; got {passes}")
-    space, frame = cascade.space, cascade.frame
     prepared = vmap(cascade.descriptor.prepare)(crops)
 
-    def best(states: State) -> State:
-        chosen = centroid(vmap(partial(landmarks_of, space))(states))
-        return jax.tree.map(lambda values: values[chosen], states)
+    def once(states: State, _: None) -> tuple[State, Descent]:
+        descent = descend(cascade, prepared, states)
+        again = vmap(partial(_start_over, cascade))(_best(cascade, descent, every_step=False))
+        return jax.tree.map(lambda part: part[:, None], again), descent
 
-    def once(states: State, _: None) -> tuple[State, tuple[State, State]]:
-        last, each = descend(cascade, prepared, states)
-        again = vmap(partial(_start_over, cascade))(vmap(best)(last))
-        return jax.tree.map(lambda part: part[:, None], again), (last, each)
-
-    states = _started(cascade, len(crops), starts_of(space, frame, rotations))
+    states = _started(cascade, len(crops), starts_of(cascade.space, cascade.frame, rotations))
     if passes > 1 and len(rotations) > 1:  # later passes have a single start
         states, passes = once(states, None)[0], passes - 1
     if passes == 1:
-        last, each = descend(cascade, prepared, states)
-    else:  # as a loop, which is compiled once
-        last, each = jax.tree.map(lambda part: part[-1], lax.scan(once, states, length=passes)[1])
-    return vmap(vmap(best), out_axes=1)(each) if every_step else vmap(best)(last)
+        return descend(cascade, prepared, states)
+    # As a loop, which is compiled once.
+    return jax.tree.map(lambda part: part[-1], lax.scan(once, states, length=passes)[1])
 
 
 def _start_over(cascade: Cascade, state: State) -> State:
@@ -385,8 +451,8 @@ def fit_starts(
 ) -> Float[Array, "faces starts landmarks 2"]:
     """Fit every crop from several starts (a leading axis): the landmarks of every fit."""
     prepared = vmap(cascade.descriptor.prepare)(crops)
-    fitted, _ = descend(cascade, prepared, _started(cascade, len(crops), starts))
-    return vmap(vmap(partial(landmarks_of, cascade.space)))(fitted)
+    descent = descend(cascade, prepared, _started(cascade, len(crops), starts))
+    return vmap(vmap(partial(landmarks_of, cascade.space)))(descent.last)
 
 
 def _started(cascade: Cascade, faces: int, starts: Start) -> State:

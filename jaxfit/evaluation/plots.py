@@ -12,6 +12,7 @@ from jax import numpy as jnp
 
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import BINS, CELLS, Sift
+from jaxfit.evaluation.calibration import Reliability
 from jaxfit.evaluation.curves import LIMIT, auc, ced
 from jaxfit.evaluation.pose import PoseGrid
 from jaxfit.exceptions import InputError
@@ -60,6 +61,34 @@ def plot_ced(
     ax.grid(alpha=0.3)
     if curves:
         ax.legend(loc="lower right")
+    return ax
+
+
+def plot_reliability(
+    reliability_by_name: dict[str, Reliability], ax: "matplotlib.axes.Axes | None" = None
+) -> "matplotlib.axes.Axes":
+    """Reliability diagram: how often what was told with some probability happened; on the diagonal, as often as told.
+
+    Args:
+        reliability_by_name: from ``evaluation.calibration.reliability``; the legend has the calibration error of each.
+        ax: where to draw; a new figure if None.
+
+    Returns:
+        The axes drawn on.
+
+    Raises:
+        InputError: matplotlib is missing.
+    """
+    ax = ax if ax is not None else pyplot().subplots()[1]
+    ax.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    for name, each in reliability_by_name.items():
+        (line,) = ax.plot(each.told, each.happened, label=f"{name} (ECE {each.error:.3f})")
+        sizes = 200 * each.counts / max(each.counts.max(), 1)
+        ax.scatter(each.told, each.happened, s=sizes, color=line.get_color(), alpha=0.5)
+    ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal", xlabel="told", ylabel="happened")
+    ax.grid(alpha=0.3)
+    if reliability_by_name:
+        ax.legend(loc="upper left")
     return ax
 
 

@@ -13,6 +13,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as pack_tensors
 
+from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.placements import Placement, read_placement
@@ -101,6 +102,7 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
         **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
         **_arrays("space", cascade.space),
         **({} if model.head is None else _arrays("head", model.head)),
+        **_confidence_tensors(model.confidence),
     }
     if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
         raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
@@ -196,6 +198,7 @@ def _parse(data: bytes) -> Model:
         scheme=scheme,
         placements=placements,
         head=_head(tensors, scheme.count),
+        confidence=_confidence(tensors),
         training=header["training"],
     )
 
@@ -241,6 +244,20 @@ def _head(tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
     if not any(name.startswith("head.") for name in tensors):
         return None
     return _assembled("head", CameraASM, tensors, {"landmarks": count, "dimensions": 3})
+
+
+def _confidence_tensors(confidence: Confidence | None) -> dict[str, np.ndarray]:
+    if confidence is None:
+        return {}
+    return _arrays("confidence", confidence) | {"confidence.seen": _half(np.asarray(confidence.seen))}
+
+
+def _confidence(tensors: dict[str, np.ndarray]) -> Confidence | None:
+    """How likely fits of the cascade whose tensors these are, which have been checked, are good."""
+    if not any(name.startswith("confidence.") for name in tensors):
+        return None
+    steps, features = tensors["weights"].shape[:2]
+    return _assembled("confidence", Confidence, tensors, {"features": features, "moves": count_moves(steps)})
 
 
 def _arrays(name: str, part: Any) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import solid_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.data.placements import Placement, placements_of
@@ -24,6 +25,7 @@ class Model:
             always there.
         training: how it was made: method, options, numbers of faces; plain JSON values.
         head: for 3D alignment, what is aligned to the landmarks that the cascade finds; None for other methods.
+        confidence: how likely its fits are good; None: nobody has taught it.
     """
 
     cascade: Cascade
@@ -31,6 +33,7 @@ class Model:
     placements: dict[str, Placement]
     training: dict[str, Any] = field(default_factory=dict)
     head: CameraASM | None = None
+    confidence: Confidence | None = None
 
     def __post_init__(self) -> None:
         if SQUARE not in self.placements:
