@@ -15,6 +15,7 @@ from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
+from jaxfit.data.videos import Video
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
 from jaxfit.exporting import Exported, export_model, load_exported
@@ -23,6 +24,8 @@ from jaxfit.lifting import Lifted, lift_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
+from jaxfit.smoothing import OneEuro
+from jaxfit.tracking import TrackedFace, TrackedFrame, Tracker, track
 from jaxfit.training import Options, Trained, train
 
 __all__ = [
@@ -37,8 +40,13 @@ __all__ = [
     "Lifted",
     "Model",
     "ModelError",
+    "OneEuro",
     "Options",
+    "TrackedFace",
+    "TrackedFrame",
+    "Tracker",
     "Trained",
+    "Video",
     "bundled",
     "bundled_heads",
     "calibrate_boxes",
@@ -59,6 +67,7 @@ __all__ = [
     "read_image",
     "save",
     "save_head",
+    "track",
     "train",
     "warm_up",
 ]
