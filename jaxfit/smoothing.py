@@ -19,13 +19,13 @@ class Smoothed(NamedTuple):
     Attributes:
         points: (N, D) smoothed.
         measured: (N, D) as they were measured.
-        velocities: (N, D) smoothed, in sizes of the face a second.
+        velocities: (N, D) smoothed, in sizes of the face a second; None before there was a second measurement.
         seconds: when that was.
     """
 
     points: np.ndarray
     measured: np.ndarray
-    velocities: np.ndarray
+    velocities: np.ndarray | None
     seconds: float
 
 
@@ -45,16 +45,16 @@ class OneEuro:
     """
 
     cutoff: float = 1.0
-    gain: float = 10.0
-    velocity_cutoff: float = 1.0
+    gain: float = 20.0
+    velocity_cutoff: float = 4.0
 
     def __post_init__(self) -> None:
         if not (0 < self.cutoff < math.inf and 0 < self.velocity_cutoff < math.inf and 0 <= self.gain < math.inf):
             raise InputError(f"expected positive cutoffs and a gain of 0 or more; got {self}")
 
     def start(self, points: np.ndarray, seconds: float) -> Smoothed:
-        """The filter where nothing came before: points (N, D) as they are, at rest."""
-        return Smoothed(points, points, np.zeros_like(points), seconds)
+        """The filter where nothing came before: points (N, D) as they are."""
+        return Smoothed(points, points, None, seconds)
 
     def follow(self, before: Smoothed, points: np.ndarray, seconds: float, size: float) -> Smoothed:
         """The filter after the next measurement.
@@ -72,7 +72,8 @@ class OneEuro:
         if not elapsed > 0:
             raise InputError(f"expected a time after {before.seconds} s; got {seconds} s")
         velocities = (points - before.measured) / (size * elapsed)
-        velocities = before.velocities + _share(self.velocity_cutoff, elapsed) * (velocities - before.velocities)
+        if before.velocities is not None:
+            velocities = before.velocities + _share(self.velocity_cutoff, elapsed) * (velocities - before.velocities)
         speeds = np.linalg.norm(velocities, axis=-1, keepdims=True)
         share = _share(self.cutoff + self.gain * speeds, elapsed)
         return Smoothed(before.points + share * (points - before.points), points, velocities, seconds)

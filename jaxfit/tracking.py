@@ -22,13 +22,15 @@ from jaxfit.smoothing import OneEuro, Smoothed
 
 # Confidence that makes a face, and that keeps it; so many frames in a row it may fall below that.
 _BORN, _KEPT, _WEAK_FRAMES = 0.5, 0.3, 3
-# Where models have no confidence: a face that the detector misses so many times in a row is none any more.
+# Where models have no confidence: a face that the detector misses so many times in a row, or as often as it had found
+# it before, is none.
 _MISSED_DETECTIONS = 4
+_SEARCH_EVERY = 3  # frames, while nobody is in view or somebody was lost
 _GROWTH = 1.5  # factor by which a face's square grows or shrinks at most, from frame to frame or while lost
 _STEP = 0.5  # sides that it moves at most, from frame to frame
 _INSIDE = 0.5  # share of the landmarks that must lie in the picture
 _SAME = 0.4  # overlap of squares from which two fits are of one face
-_FOUND_AGAIN = 1.0  # seconds for which a lost face keeps its number,
+_FOUND_AGAIN = 2.0  # seconds for which a lost face keeps its number,
 _NEAR = 1.0  # if it comes back within so many sides
 _CUT_SIDE = 32  # pixels of the small copy of a frame,
 _CUT = 30.0  # and their mean change, in grey levels, from which there is a cut between two frames
@@ -155,7 +157,8 @@ class _Track:
         last: where it was when it was last seen well.
         before: and before that.
         weak: frames in a row without confidence.
-        missed: runs of the detector in a row that did not find it.
+        seen: runs of the detector that found it.
+        missed: runs in a row, since, that did not.
         smoothed: of the 2D landmarks, the 3D ones and the pose, by name.
     """
 
@@ -164,6 +167,7 @@ class _Track:
     last: _Square
     before: _Square | None = None
     weak: int = 0
+    seen: int = 1
     missed: int = 0
     smoothed: dict[str, Smoothed] = field(default_factory=dict)
 
@@ -181,7 +185,7 @@ class Tracker:
 
     The faces of a frame are fitted together, from where they were in the frame before. The detector looks for more when
     nobody is in view, when somebody was lost, and every few frames. A face is lost when its fit diverges, jumps, leaves
-    the picture or is no longer sure; one that comes back to its place within a second has its number again. After a
+    the picture or is no longer sure; one that comes back to its place within two seconds has its number again. After a
     cut, everybody is somebody else.
 
     Args:
@@ -215,7 +219,7 @@ class Tracker:
         self._lost: list[_Track] = []  # not longer ago than they may come back
         self._people = 0
         self._frames = 0
-        self._looked = 0  # frame in which the detector looked last
+        self._looked = -redetect_every  # frame in which the detector looked last
         self._seconds: float | None = None
         self._small: np.ndarray | None = None
 
@@ -239,10 +243,11 @@ class Tracker:
         seconds = self._time(seconds)
         number, self._frames, self._seconds = self._frames, self._frames + 1, seconds
         if self._cut(picture):
-            self._tracks, self._lost = [], []
+            self._tracks, self._lost, self._looked = [], [], number - self.redetect_every
         faces = self._follow(picture, number, seconds)
         self._lost = [track for track in self._lost if seconds - track.last.seconds <= _FOUND_AGAIN]
-        if self._lost or not self._tracks or number - self._looked >= self.redetect_every:
+        searching = bool(self._lost) or not self._tracks
+        if number - self._looked >= (min(_SEARCH_EVERY, self.redetect_every) if searching else self.redetect_every):
             self._looked = number
             faces += self._look(picture, number, seconds)
         return sorted(faces, key=lambda face: face.id)
@@ -275,7 +280,7 @@ class Tracker:
             if self._taken(square):
                 continue  # by somebody who is known for longer
             confidence = _confidence(fits, row)
-            if confidence is None and track.missed >= _MISSED_DETECTIONS:
+            if confidence is None and track.missed >= min(track.seen, _MISSED_DETECTIONS):
                 self._lost.append(track)
                 continue
             if confidence is not None and confidence < _KEPT:
@@ -291,7 +296,7 @@ class Tracker:
         found = [(face, self._square_of(face)) for face in self._detect(picture)]
         for track in self._tracks:
             seen = any(_one_face(track.last.box, square) for _, square in found)
-            track.missed = 0 if seen else track.missed + 1
+            track.seen, track.missed = (track.seen + 1, 0) if seen else (track.seen, track.missed + 1)
         new = [(face, sq) for face, sq in found if not any(_one_face(track.last.box, sq) for track in self._tracks)]
         fits = fit(self.model, [picture] * len(new), [face.box for face, _ in new], kind=[face.kind for face, _ in new])
         faces = []
