@@ -58,9 +58,7 @@ class Video:
         self.name = f"camera {source}" if self.live else str(source)
         if not isinstance(source, int) and not Path(source).is_file():
             raise InputError(f"expected a video file or the number of a camera; there is no file {source}")
-        # FFmpeg, which OpenCV reads with, has a voice of its own; a problem is reported once, with the file's name.
-        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-        with quiet():
+        with _quiet_codecs():
             self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
             self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
             self._next = self._capture.read()[1] if self._capture.isOpened() else None
@@ -133,7 +131,7 @@ def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[np.nd
             nonlocal writer, shape, written
             if writer is None:
                 shape = picture.shape[:2]
-                with quiet():
+                with _quiet_codecs():
                     writer = cv2.VideoWriter(str(temporary), _codec(), frame_rate, (shape[1], shape[0]))
                 if not writer.isOpened():
                     raise ImageError(f"{path}: OpenCV cannot write videos of {shape[1]} x {shape[0]} pixels here")
@@ -152,6 +150,14 @@ def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[np.nd
             there = int(cv2.VideoCapture(str(temporary)).get(cv2.CAP_PROP_FRAME_COUNT)) if written else 0
         if not written or there < written:
             raise ImageError(f"{path}: {there} of {written} frames were written: no frame came, or the disk is full")
+
+
+@contextmanager
+def _quiet_codecs() -> Iterator[None]:
+    """A problem is reported once, with the file's name; FFmpeg, which OpenCV takes, would print its own account."""
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the process opens its first video
+    with quiet():
+        yield
 
 
 def _codec() -> int:
