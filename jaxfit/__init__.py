@@ -15,6 +15,7 @@ from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
+from jaxfit.data.videos import Video
 from jaxfit.detecting import Found, find_faces
 from jaxfit.evaluating import evaluate
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
@@ -24,6 +25,8 @@ from jaxfit.lifting import Lifted, lift_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
+from jaxfit.smoothing import OneEuro
+from jaxfit.tracking import TrackedFace, TrackedFrame, Tracker, track
 from jaxfit.training import Options, Trained, train
 from jaxfit.trusting import Trials, learn_confidence, try_fits
 
@@ -40,9 +43,14 @@ __all__ = [
     "Lifted",
     "Model",
     "ModelError",
+    "OneEuro",
     "Options",
+    "TrackedFace",
+    "TrackedFrame",
+    "Tracker",
     "Trained",
     "Trials",
+    "Video",
     "bundled",
     "bundled_heads",
     "calibrate_boxes",
@@ -65,6 +73,7 @@ __all__ = [
     "read_image",
     "save",
     "save_head",
+    "track",
     "train",
     "try_fits",
     "warm_up",

@@ -310,6 +310,7 @@ def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
     angle = rng.uniform(0, 2 * np.pi)
     along = x * np.cos(angle) + y * np.sin(angle)
     kind = rng.choice(["plain", "slope", "stripes", "noise"])
+    picture: np.ndarray
     if kind == "noise":
         picture = rng.normal(size=(side, side))
         picture = cv2.GaussianBlur(picture, (0, 0), side * np.exp(rng.uniform(np.log(0.002), np.log(0.15))))

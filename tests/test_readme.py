@@ -14,6 +14,7 @@ import jaxfit
 from jaxfit.cli.main import main
 from jaxfit.data.images import write_image
 from jaxfit.data.pts import write_pts
+from jaxfit.data.videos import write_video
 from jaxfit.shapes.conversions import convert
 from jaxfit.shapes.schemes import AFLW21, IBUG68
 
@@ -38,13 +39,16 @@ def portrait() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the README takes for granted: photos, their boxes, and faces labelled for training and testing."""
+    """What the README takes for granted: photos, their boxes, a film, and faces labelled for training and testing."""
     folder = tmp_path_factory.mktemp("readme")
     model = jaxfit.load("sdm68")
     (face,) = jaxfit.detect_faces(portrait)
     points = jaxfit.fit(model, [portrait], face.box[None], kind=face.kind).landmarks[0]
     (folder / "photos").mkdir()
     write_image(folder / "photos" / "portrait.jpg", portrait)
+    with write_video(folder / "film.mp4", 25.0) as write:
+        for number in range(4):
+            write(portrait[2 * number :][: len(portrait) - 8])
     row = ",".join(f"{value:.1f}" for value in face.box)
     (folder / "boxes.csv").write_text(f"image,x,y,width,height\nportrait.jpg,{row}\n")
     rng = np.random.default_rng(0)  # faces differ, lest there be nothing to learn of their shapes
@@ -107,6 +111,8 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "results/report.json",
         "results/faces.csv",
         "heads/heads.csv",
+        "tracked/faces.csv",
+        "tracked/overlay.mp4",
         "results-3d/report.json",
         "runs/report/report.html",
     ):
@@ -131,6 +137,7 @@ def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
     assert np.isfinite(names["slope"]).all()
     assert np.isfinite(names["heads"].pose).all()
+    assert [face.id for face in names["frame"].faces] == [1]
     assert names["heads"].landmarks_3d.shape == (1, 68, 3)
 
 

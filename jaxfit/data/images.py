@@ -76,7 +76,7 @@ def _decoded(path: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarra
     """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
     flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
     try:
-        with _quiet():
+        with quiet():
             picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise ImageError(f"{path}: cannot be decoded ({error.err or error})") from error
@@ -126,7 +126,7 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
     if suffix not in PICTURE_SUFFIXES:
         raise InputError(f"cannot write {path}: expected a name ending in one of {' '.join(PICTURE_SUFFIXES)}")
     stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
-    with _quiet():
+    with quiet():
         done, encoded = cv2.imencode(suffix, stored)
     if not done:
         height, width = rgb.shape[:2]
@@ -199,7 +199,7 @@ def _pictures_in(folder: Path) -> list[Path]:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def quiet() -> Iterator[None]:
     """Failures are reported once, with the file's name; OpenCV would print its own account."""
     global _inside, _level_before
     log = cv2.utils.logging

@@ -40,10 +40,10 @@ def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") 
 
 
 @contextmanager
-def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
-    """A file to write to that becomes ``path`` when the block ends, and vanishes when the block raises.
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """The name of a file to write that becomes ``path`` when the block ends, and vanishes when the block raises.
 
-    Text (``mode="w"``) is UTF-8 and newlines are written as they are given.
+    It ends like ``path``, for programs that tell the format by the name.
 
     Raises:
         InputError: the folder does not exist, or ``path`` is something other than a file.
@@ -54,19 +54,34 @@ def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[
     # Replacing a device such as /dev/null, or a folder, would destroy it.
     if path.exists() and not path.is_file():
         raise InputError(f"cannot write {path}: it exists and is not a regular file; name a file instead")
-    # In the same folder, because a file can only be renamed atomically within one file system. Plain open()
-    # instead of tempfile, whose files nobody else may read.
-    temporary = path.parent / f".{secrets.token_hex(8)}.tmp"
+    # In the same folder, because a file can only be renamed atomically within one file system.
+    temporary = path.parent / f".{secrets.token_hex(8)}.tmp{path.suffix}"
     try:
-        text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
-        with open(temporary, mode.replace("w", "x"), **text) as file:  # type: ignore[call-overload]
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
+        yield temporary
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
+    """A file to write to that becomes ``path`` when the block ends, and vanishes when the block raises.
+
+    Text (``mode="w"``) is UTF-8 and newlines are written as they are given.
+
+    Raises:
+        InputError: as :func:`atomic_path`.
+    """
+    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
+    # Plain open() instead of tempfile, whose files nobody else may read.
+    with (
+        atomic_path(path) as temporary,
+        open(temporary, mode.replace("w", "x"), **text) as file,  # type: ignore[call-overload]
+    ):
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def write_csv(path: str | Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

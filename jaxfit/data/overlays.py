@@ -103,6 +103,17 @@ def draw_head(
     return canvas
 
 
+def draw_name(rgb: np.ndarray, name: str, box: np.ndarray) -> np.ndarray:
+    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,)."""
+    canvas = _canvas(rgb, None)
+    height = 0.0025 * min(box[2], max(canvas.shape))  # of the letters, in those of OpenCV's font
+    width = max(1, round(2 * height))
+    for colour, thickness in (((0, 0, 0), 3 * width), (_YELLOW, width)):  # its outline first: readable on any ground
+        place = tuple(np.round(np.clip(box[:2], -_FARTHEST, _FARTHEST) - [0, 4]).astype(int).tolist())
+        cv2.putText(canvas, name, place, cv2.FONT_HERSHEY_SIMPLEX, max(0.4, height), colour, thickness, cv2.LINE_AA)
+    return canvas
+
+
 def _canvas(rgb: np.ndarray, box: np.ndarray | None) -> np.ndarray:
     """A copy (H, W, 3) of a picture with the face box, if there is one."""
     canvas = cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB) if rgb.ndim == 2 else rgb.copy()
