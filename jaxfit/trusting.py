@@ -311,8 +311,8 @@ def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
     along = x * np.cos(angle) + y * np.sin(angle)
     kind = rng.choice(["plain", "slope", "stripes", "noise"])
     if kind == "noise":
-        picture = rng.normal(size=(side, side))
-        picture = cv2.GaussianBlur(picture, (0, 0), side * np.exp(rng.uniform(np.log(0.002), np.log(0.15))))
+        coarseness = side * np.exp(rng.uniform(np.log(0.002), np.log(0.15)))
+        picture = np.asarray(cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), coarseness), np.float64)
     elif kind == "stripes":
         picture = np.sin(2 * np.pi * (along * np.exp(rng.uniform(np.log(1), np.log(20))) + rng.random()))
     else:
@@ -349,7 +349,8 @@ def _fitted(model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress) -> 
     progress("fitting", count, count)
     truth, starts, faces = (np.concatenate([part] * len(ways)) for part in drawn[1:])
     # Where there is no truth nothing can be measured: no face.
-    errors = np.nan_to_num(nmed(np.concatenate(landmarks), truth, model.scheme), nan=np.inf)
+    measured = nmed(np.concatenate(landmarks), truth, model.scheme)
+    errors = np.where(np.isnan(measured), np.inf, measured)
     return Trials(errors, starts, faces, np.full(len(errors), np.nan)), np.concatenate(made)
 
 

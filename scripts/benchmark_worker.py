@@ -108,7 +108,7 @@ def jaxfit_first(model: str, faces: str, begin: float) -> float:
 
     given = np.load(faces)
     fits = jaxfit.fit(jaxfit.load(model), [given["picture"]], given["box"][None])
-    if not fits.ok.all():
+    if not fits.fitted.all():
         raise SystemExit(str(fits.problems))
     return time.time() - begin
 

@@ -1,7 +1,7 @@
 """Teach a model how likely its fits are good, and measure on people held out whether what it then says is true.
 
-For the figures a fourth of the people is kept aside; a model is trained on the others as MODEL was, and taught by models
-trained on parts of those. Then MODEL itself is taught, with all people. Both together train 2 · FOLDS + 1 models.
+For the figures a fourth of the people is kept aside; a model is trained on the others as MODEL was, and taught by
+models trained on parts of those. Then MODEL itself is taught, with all people. Both train 2 · FOLDS + 1 models.
 """
 
 import argparse
@@ -135,31 +135,36 @@ def _text(arguments: argparse.Namespace, faces: Sequence[FaceRecord], trials: Tr
         for name, value in vars(arguments).items()
         if name in ("folds", "seed", "every", "augmentations") and value is not None
     )
+    number, good_ok = len(faces), float(good[ok].mean())
+    columns = {"fits": "", "number": "d", "good": ".3f", "AUROC": ".3f", "ECE": ".3f"}
+    of_starts = {"start": "", "number": "d", "good": ".3f", "mean confidence": ".3f", "ok": ".3f"}
     return f"""# Confidence
 
-`fits.confidence` is the probability that a fit is good: that its NMED over the outer eye corners is below {LIMIT}. A network of
-one hidden layer tells it from the descriptors that the last step looks at and from the sizes of the steps, the move from the start,
-and the shape found. `fits.ok` are the fits with a confidence of 0.5 or more.
+`fits.confidence` is the probability that a fit is good: that its NMED over the outer eye corners is below {LIMIT}.
+A network of one hidden layer tells it from the descriptors that the last step looks at, the sizes of the steps, the
+move from the start, and the shape found. `fits.ok` are the fits with a confidence of 0.5 or more.
 
-These are the figures of a model trained as `{Path(arguments.model).stem}` was{_augmented(arguments)}, on three fourths of the people
-of {len(faces)} faces, and tested on the others: fits from boxes as a detector draws them (moved by 6 to 15 % of their side, scaled by 8
-to 20 %; standard deviations), from boxes off by up to half a face and a factor of 2, in other parts of the pictures (overlap below
-0.15), in small parts of the face, in pictures turned upside down, and on patterns. Half of them are mirrored.
+These are the figures of a model trained as `{Path(arguments.model).stem}` was{_augmented(arguments)}, on three
+fourths of the people of {number} faces, and tested on the others: fits from boxes as a detector draws them (moved by 6
+to 15 % of their side, scaled by 8 to 20 %; standard deviations), from boxes off by up to half a face and a factor of 2,
+in other parts of the pictures (overlap below 0.15), in small parts of the face, in pictures turned upside down, and on
+patterns. Half of them are mirrored. The network learned from fits by {arguments.folds} models, each trained on other
+people than it fitted.
 
 ```
 python scripts/learn_confidence.py {Path(arguments.model).name} --data {data}{options} --report docs/confidence.md
 ```
 
-{markdown_table(rows, {"fits": "", "number": "d", "good": ".3f", "AUROC": ".3f", "ECE": ".3f"})}
+{markdown_table(rows, columns)}
 
-AUROC is how often one of two gets the higher confidence, as it should; ECE the expected calibration error in 15 bins, the mean
-difference of what was told and what happened. The first row is of faces in detectors' boxes, well fitted or not, against all that is
-no face.
+AUROC is how often one of two gets the higher confidence, as it should; ECE the expected calibration error in 15 bins,
+the mean difference of what was told and what happened. The first row is of faces in detectors' boxes, well fitted or
+not, against all that is no face.
 
-{markdown_table(kinds, {"start": "", "number": "d", "good": ".3f", "mean confidence": ".3f", "ok": ".3f"})}
+{markdown_table(kinds, of_starts)}
 
-Of faces in detectors' boxes, {float(good[ok].mean()):.1%} of those with `ok` are good, and {float(ok[detected & good].mean()):.1%} of
-the good ones are `ok`.
+Of faces in detectors' boxes, {good_ok:.1%} of those that are `ok` are good, and {float(ok[detected & good].mean()):.1%}
+of the good ones are `ok`.
 
 ![Confidence beside how many fits are good](confidence.png)
 """

@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
             fits = _fit(model, faces, options)
             problems += [f"{faces[number].picture}: {why}" for number, why in fits.problems.items()]
             problems += _write(folder, model, faces, fits)
-            fitted = [int(number) for number in np.flatnonzero(fits.ok)]
+            fitted = [int(number) for number in np.flatnonzero(fits.fitted)]
             rows += [_row(faces[number], fits.landmarks[number]) for number in fitted]
             heads += [_head(faces[number], fits, number) for number in fitted]
         bars("fitting pictures", len(pictures), len(pictures))
@@ -157,7 +157,7 @@ def _write(folder: Path, model: Model, faces: Sequence[_Face], fits: Fits) -> li
     """A ``.pts`` file for each face, and one overlay for each picture; returns what could not be written."""
     problems = []
     overlays: dict[str, np.ndarray] = {}
-    for number in map(int, np.flatnonzero(fits.ok)):
+    for number in map(int, np.flatnonzero(fits.fitted)):
         face = faces[number]
         write_pts(folder / "pts" / f"{face.label}.pts", fits.landmarks[number])
         overlays[face.name] = _drawn(overlays.get(face.name, face.rgb), model, face, fits, number)
