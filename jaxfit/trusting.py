@@ -312,8 +312,8 @@ def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
     kind = rng.choice(["plain", "slope", "stripes", "noise"])
     picture: np.ndarray
     if kind == "noise":
-        picture = rng.normal(size=(side, side))
-        picture = cv2.GaussianBlur(picture, (0, 0), side * np.exp(rng.uniform(np.log(0.002), np.log(0.15))))
+        coarseness = side * np.exp(rng.uniform(np.log(0.002), np.log(0.15)))
+        picture = np.asarray(cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), coarseness), np.float64)
     elif kind == "stripes":
         picture = np.sin(2 * np.pi * (along * np.exp(rng.uniform(np.log(1), np.log(20))) + rng.random()))
     else:
