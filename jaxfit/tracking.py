@@ -22,8 +22,8 @@ from jaxfit.smoothing import OneEuro, Smoothed
 
 # Confidence that makes a face, and that keeps it; so many frames in a row it may fall below that.
 _BORN, _KEPT, _WEAK_FRAMES = 0.5, 0.3, 3
-# Where models have no confidence: a face that the detector misses so many times in a row, or as often as it had found
-# it before, is none.
+# Where models have no confidence: a face that the detector misses so many times in a row, or more often than it had
+# found it before, is none.
 _MISSED_DETECTIONS = 4
 _SEARCH_EVERY = 3  # frames, while nobody is in view or somebody was lost
 _GROWTH = 1.5  # factor by which a face's square grows or shrinks at most, from frame to frame or while lost
@@ -280,7 +280,7 @@ class Tracker:
             if self._taken(square):
                 continue  # by somebody who is known for longer
             confidence = _confidence(fits, row)
-            if confidence is None and track.missed >= min(track.seen, _MISSED_DETECTIONS):
+            if confidence is None and track.missed >= min(track.seen + 1, _MISSED_DETECTIONS):
                 self._lost.append(track)
                 continue
             if confidence is not None and confidence < _KEPT:

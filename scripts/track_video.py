@@ -246,8 +246,7 @@ def measure(
     fair = (errors < FAIR) & in_view
     steady = fair[2:] & fair[1:-1] & fair[:-2]
     shaken = (offsets[2:] - 2 * offsets[1:-1] + offsets[:-2])[steady] / eyes[1:-1][steady][:, None, None]
-    # Apart from cuts: where a difference spans one, nobody is there on one side of it.
-    moving = fair & (clip.motion == "pan")
+    moving = fair & (clip.motion == "pan")  # where the lag is measured: all points move alike
     jumps, again = 0, None
     for person in range(people):
         known = ids[fair[:, person], person]
