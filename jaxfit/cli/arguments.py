@@ -106,6 +106,15 @@ def untrained_starts(name: str, model: Model, initialisations: int) -> list[str]
     return [f"{name} was trained for one initialisation: of its fits from turned starts none may be right"]
 
 
+def add_head(command: argparse.ArgumentParser) -> None:
+    """``--head NAME``."""
+    command.add_argument(
+        "--head",
+        default=_DEFAULT.head,
+        help="3D shape model of 3D methods and --lift: a bundled one's name, or a file that scripts/build_head.py made",
+    )
+
+
 def add_training(command: argparse.ArgumentParser) -> None:
     """The options of training, whatever the method."""
     command.add_argument(
@@ -136,11 +145,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
         default=_DEFAULT.sigmas,
         help="radius of the ellipsoid that shape coefficients stay in; unless given it holds 99.7 %% of normal faces",
     )
-    command.add_argument(
-        "--head",
-        default=_DEFAULT.head,
-        help="3D shape model of the 3D methods: a bundled one's name, or a file that scripts/build_head.py made",
-    )
+    add_head(command)
     add_initialisations(command, "how many starts fitting shall use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")

@@ -1,7 +1,7 @@
-"""Teach a model how likely its fits are good, and measure on people held out whether what it then says is true.
+"""Measure on people held out whether what models say of how likely their fits are good (fits.confidence) is true.
 
-For the figures a fourth of the people is kept aside; a model is trained on the others as MODEL was, and taught by
-models trained on parts of those. Then MODEL itself is taught, with all people. Both train 2 · FOLDS + 1 models.
+A fourth of the people is kept aside; a model is trained on the others as MODEL was, and taught by models trained on
+parts of those: FOLDS + 1 models in all.
 """
 
 import argparse
@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed, shared_scheme
+from jaxfit.cli.arguments import add_head, seed
+from jaxfit.cli.labelled_faces import add_faces, read_faces
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.images import GreyPictures
@@ -25,7 +26,6 @@ from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.plots import new_figure, plot_reliability
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import InputError
-from jaxfit.models.files import check_target
 from jaxfit.models.model import Model
 from jaxfit.training import train
 from jaxfit.trusting import DETECTED, NO_FACES, Trials, learn_confidence, training_of, try_fits
@@ -36,7 +36,8 @@ _PARTS = 4  # one of which is held out
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
-    add_datasets(parser)
+    add_faces(parser)
+    add_head(parser)
     parser.add_argument("--folds", type=int, default=3, help="models that are trained to learn from (default: 3)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--every", type=int, default=1, metavar="N", help="take every Nth person alone, for a trial")
@@ -44,28 +45,19 @@ def main() -> int:
     parser.add_argument(
         "--report", metavar="FILE.md", help="write the figures here, and a plot beside; needs matplotlib"
     )
-    parser.add_argument("--out", metavar="MODEL.safetensors", help="the model file to write; without, figures alone")
     return exit_code(run, parser.parse_args())
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.out:
-        check_target(Path(arguments.out))
     if arguments.every < 1:
         raise InputError(f"expected --every of 1 or more; got {arguments.every}")
     model = jaxfit.load(arguments.model)
     if arguments.augmentations is not None:
         model = replace(model, training=model.training | {"augmentations": arguments.augmentations})
-    datasets = read_datasets(arguments.data, arguments.scheme)
-    if shared_scheme(datasets) != model.scheme:
-        raise InputError(f"expected labels {model.scheme.name}, as the model's; got {datasets[0].scheme.name}")
-    # Another dataset's person of the same name is another person; and faces of one name start differently.
-    faces = [
-        replace(face, subject=f"{number}/{face.subject}", face=f"{number}/{face.face}")
-        for number, dataset in enumerate(datasets)
-        for face in dataset.faces
-        if face.complete
-    ]
+    found = read_faces(arguments)
+    if found.scheme != model.scheme:
+        raise InputError(f"expected labels {model.scheme.name}, as the model's; got {found.scheme.name}")
+    faces = [face for face in found.faces if face.complete]
     kept = set(sorted({face.subject for face in faces})[:: arguments.every])
     faces = [face for face in faces if face.subject in kept]
     pictures = GreyPictures()
@@ -75,11 +67,6 @@ def run(arguments: argparse.Namespace) -> int:
     print(text)
     if arguments.report:
         _write(Path(arguments.report), text, trials)
-    if arguments.out:
-        with Bars() as bars:
-            learn = {"folds": arguments.folds, "seed": arguments.seed, "read": pictures, "progress": bars}
-            jaxfit.save(learn_confidence(jaxfit.load(arguments.model), faces, **learn), arguments.out)
-        print(f"written: {arguments.out}")
     return 0
 
 
@@ -129,11 +116,15 @@ def _text(arguments: argparse.Namespace, faces: Sequence[FaceRecord], trials: Tr
         for start in dict.fromkeys(trials.starts.tolist())
     ]
     ok = detected & (told >= 0.5)
-    data = " ".join(f"{spec.partition(':')[0]}:{Path(spec).name}" for spec in arguments.data)
     options = "".join(
-        f" --{name} {value}"
+        f" --{name.replace('_', '-')} {value}"
         for name, value in vars(arguments).items()
-        if name in ("folds", "seed", "every", "augmentations") and value is not None
+        if name in ("lift_yaw", "folds", "seed", "every", "augmentations") and value
+    )
+    data = " ".join(
+        f"--{name} " + " ".join(f"{spec.partition(':')[0]}:{Path(spec).name}" for spec in specs)
+        for name in ("data", "lift", "without")
+        if (specs := getattr(arguments, name))
     )
     number, good_ok = len(faces), float(good[ok].mean())
     columns = {"fits": "", "number": "d", "good": ".3f", "AUROC": ".3f", "ECE": ".3f"}
@@ -152,7 +143,7 @@ patterns. Half of them are mirrored. The network learned from fits by {arguments
 people than it fitted.
 
 ```
-python scripts/learn_confidence.py {Path(arguments.model).name} --data {data}{options} --report docs/confidence.md
+python scripts/confidence.py {Path(arguments.model).name} {data}{options} --report docs/confidence.md
 ```
 
 {markdown_table(rows, columns)}

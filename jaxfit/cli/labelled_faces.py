@@ -1,0 +1,83 @@
+"""The labelled faces that are learned from: what the arguments say, and reading them."""
+
+import argparse
+from dataclasses import dataclass, replace
+
+from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.exceptions import InputError
+from jaxfit.lifting import lift_labels
+from jaxfit.models.heads import load_head
+from jaxfit.shapes.schemes import Scheme
+
+
+@dataclass(frozen=True)
+class LabelledFaces:
+    """Faces of one scheme from several datasets.
+
+    Attributes:
+        faces: the faces; some may lack landmarks.
+        scheme: what their landmarks mean.
+        problems: what could not be read or lifted and why, a sentence each.
+    """
+
+    faces: list[FaceRecord]
+    scheme: Scheme
+    problems: list[str]
+
+
+def add_faces(command: argparse.ArgumentParser) -> None:
+    """``--data``, ``--scheme``, ``--lift``, ``--lift-yaw`` and ``--without``."""
+    add_datasets(command)
+    command.add_argument(
+        "--lift",
+        nargs="+",
+        default=[],
+        metavar="SPEC",
+        help="more datasets, of other or incomplete landmarks: a 3D head model (--head) gives them those of --data",
+    )
+    command.add_argument(
+        "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
+    )
+    command.add_argument(
+        "--without",
+        nargs="+",
+        default=[],
+        metavar="SPEC",
+        help="datasets to be tested on: faces in pictures with the file names of theirs are left out of all others",
+    )
+
+
+def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
+    """The faces of ``--data``, and those of ``--lift`` with the landmarks of ``--data``, less those of ``--without``.
+
+    Raises:
+        InputError: datasets of several schemes, no such dataset, or ``--lift-yaw`` without ``--lift``.
+    """
+    if arguments.lift_yaw and not arguments.lift:
+        raise InputError("--lift-yaw says which faces of --lift are taken; give that too")
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    scheme = shared_scheme(datasets)
+    parts = [dataset.faces for dataset in datasets]
+    problems = [problem for dataset in datasets for problem in dataset.problems]
+    for dataset in read_datasets(arguments.lift, None):
+        lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), arguments.lift_yaw)
+        parts.append(lifted.faces)
+        problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in lifted.problems)]
+        print(f"{dataset.spec}: {len(lifted.faces)} of {len(dataset.faces)} faces lifted to {scheme.name}")
+    # A person of the same name in another dataset is another person.
+    faces = [replace(face, subject=f"{number}/{face.subject}") for number, part in enumerate(parts) for face in part]
+    return LabelledFaces(_without(faces, read_datasets(arguments.without, None)), scheme, problems)
+
+
+def _without(faces: list[FaceRecord], tested: list[Dataset]) -> list[FaceRecord]:
+    """The faces in other pictures than those of the tested datasets; says how many are not.
+
+    By the names of the files: AFLW2000-3D's pictures are AFLW's, cut and scaled, under the same names.
+    """
+    for dataset in tested:
+        names = {face.image.name for face in dataset.faces}
+        kept = [face for face in faces if face.image.name not in names]
+        print(f"{len(faces) - len(kept)} of {len(faces)} faces left out: {dataset.spec} has their pictures")
+        faces = kept
+    return faces
