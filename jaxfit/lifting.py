@@ -101,6 +101,30 @@ def lift_labels(
     return Lifted(tuple(lifted), tuple(problems))
 
 
+def fill_labels(faces: Sequence[FaceRecord], scheme: Scheme, head: HeadModel) -> Lifted:
+    """The missing landmarks of faces, from where a head model has them; those that are labelled stay as they are.
+
+    Left out are incomplete faces that `lift_labels` leaves out.
+
+    Args:
+        faces: labelled faces.
+        scheme: what their landmarks mean.
+        head: has these points.
+
+    Raises:
+        InputError: the head model lacks the scheme.
+    """
+    lifted = lift_labels([face for face in faces if not face.complete], scheme, scheme, head)
+    filled = {face.face: face for face in lifted.faces}
+    whole = []
+    for face in faces:
+        if face.complete:
+            whole.append(face)
+        elif other := filled.get(face.face):
+            whole.append(replace(other, landmarks=np.where(face.present[:, None], face.landmarks, other.landmarks)))
+    return Lifted(tuple(whole), lifted.problems)
+
+
 def _agree(face: FaceRecord, pose: np.ndarray) -> bool:
     """Whether the labelled pitch and yaw, if known, are near those found, in the same order; roll is told best."""
     if face.pose is None:

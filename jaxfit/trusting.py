@@ -24,6 +24,7 @@ from jaxfit.cascade.fit import ANY_ROTATION, find_clues, start_rotations
 from jaxfit.cascade.regression import Projection, principal_axes
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
+from jaxfit.data.detectors.detector import overlap
 from jaxfit.data.images import GreyPictures
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluation.curves import LIMIT
@@ -288,20 +289,13 @@ def _box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.
         return np.array([*(square[:2] + rng.uniform(0, side - small, 2)), small, small])
     for _ in range(_TRIES):
         box = _around(rng.uniform((0, 0), shape[1::-1]), side * np.exp(rng.uniform(np.log(0.4), np.log(1.5))))
-        if _overlap(box, square) < _APART:
+        if overlap(box, square) < _APART:
             return box
     return None
 
 
 def _around(centre: np.ndarray, side: float) -> np.ndarray:
     return np.array([*(centre - side / 2), side, side])
-
-
-def _overlap(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two boxes (4,)."""
-    sides = np.minimum(a[:2] + a[2:], b[:2] + b[2:]) - np.maximum(a[:2], b[:2])
-    shared = float(np.prod(np.maximum(sides, 0)))
-    return shared / (float(np.prod(a[2:]) + np.prod(b[2:])) - shared)
 
 
 def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:

@@ -125,7 +125,7 @@ def _text(arguments: argparse.Namespace, faces: Sequence[FaceRecord], trials: Tr
         f"--{name} " + " ".join(f"{spec.partition(':')[0]}:{Path(spec).name}" for spec in specs)
         for name in ("data", "lift", "without")
         if (specs := getattr(arguments, name))
-    )
+    ) + (" --fill" if arguments.fill else "")
     number, good_ok = len(faces), float(good[ok].mean())
     columns = {"fits": "", "number": "d", "good": ".3f", "AUROC": ".3f", "ECE": ".3f"}
     of_starts = {"start": "", "number": "d", "good": ".3f", "mean confidence": ".3f", "ok": ".3f"}

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from jaxfit.data.aflw import read_aflw
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError
-from jaxfit.lifting import lift_labels
+from jaxfit.lifting import fill_labels, lift_labels
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import AFLW21, IBUG68, scheme_named
 
@@ -140,6 +140,23 @@ def test_faces_may_have_to_be_turned(heads):
     assert kept >= set(np.flatnonzero(np.abs(poses[:, 2]) > 35))
     assert not kept & set(np.flatnonzero(np.abs(poses[:, 2]) < 25))
     assert found.problems == (f"{COUNT - len(kept)} of {COUNT} faces left out: turned by less than 30 degrees",)
+
+
+def test_missing_labels_are_filled_and_the_others_stay(heads):
+    given, _, poses = heads
+    present = np.arange(21) % 3 > 0
+    faces = [record(n, points, present if n % 2 else None, poses[n]) for n, points in enumerate(given)]
+    faces[3] = record(3, given[3], np.arange(21) < 7)
+    found = fill_labels(faces, AFLW21, HEAD)
+    assert [face.face for face in found.faces] == [str(n) for n in range(COUNT) if n != 3]
+    assert found.problems == (f"1 of {COUNT // 2} faces left out: fewer than 8 labelled points, or all on a line",)
+    for face in found.faces:
+        number = int(face.face)
+        assert face.complete
+        np.testing.assert_array_equal(face.landmarks[present], given[number][present])
+        if number % 2 == 0:
+            assert face is faces[number]
+    assert np.median(distances(landmarks_of(found), given[[int(face.face) for face in found.faces]])[1::2]) < 0.02
 
 
 def test_labelled_poses_may_be_in_another_order(heads):

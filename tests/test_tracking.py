@@ -30,6 +30,7 @@ class World:
     """
 
     kinds = (SQUARE,)
+    rough = False
 
     def __init__(self) -> None:
         self.looks = 0

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
-from jaxfit.lifting import lift_labels
+from jaxfit.lifting import fill_labels, lift_labels
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import Scheme
 
@@ -27,8 +27,14 @@ class LabelledFaces:
 
 
 def add_faces(command: argparse.ArgumentParser) -> None:
-    """``--data``, ``--scheme``, ``--lift``, ``--lift-yaw`` and ``--without``."""
+    """``--data``, ``--scheme``, ``--fill``, ``--lift``, ``--lift-yaw`` and ``--without``."""
     add_datasets(command)
+    command.add_argument(
+        "--fill",
+        action="store_true",
+        help="give incomplete faces of --data their missing landmarks by a 3D head model (--head), instead of leaving "
+        "them out",
+    )
     command.add_argument(
         "--lift",
         nargs="+",
@@ -49,7 +55,7 @@ def add_faces(command: argparse.ArgumentParser) -> None:
 
 
 def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
-    """The faces of ``--data``, and those of ``--lift`` with the landmarks of ``--data``, less those of ``--without``.
+    """The faces of ``--data``, filled if ``--fill`` says so, and of ``--lift``, less those of ``--without``.
 
     Raises:
         InputError: datasets of several schemes, no such dataset, or ``--lift-yaw`` without ``--lift``.
@@ -60,6 +66,15 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     scheme = shared_scheme(datasets)
     parts = [dataset.faces for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
+    if arguments.fill:
+        head = load_head(arguments.head)
+        filled = [fill_labels(part, scheme, head) for part in parts]
+        parts = [part.faces for part in filled]
+        problems += [
+            f"{dataset.spec}: {problem}"
+            for dataset, part in zip(datasets, filled, strict=True)
+            for problem in part.problems
+        ]
     for dataset in read_datasets(arguments.lift, None):
         lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), arguments.lift_yaw)
         parts.append(lifted.faces)

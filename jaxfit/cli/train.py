@@ -38,7 +38,6 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         type=int,
         nargs="?",
         const=3,
-        default=0,
         metavar="FOLDS",
         help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
         "the faces: 3 unless told, which takes four times as long",
@@ -55,6 +54,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {out}"
         )
+    if options.confidence is not None and options.confidence < 2:
+        raise InputError(f"--confidence: expected 2 folds or more; got {options.confidence}")
     found = read_faces(options)
     read = GreyPictures() if options.confidence else read_grey
     with Bars() as bars:

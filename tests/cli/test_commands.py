@@ -447,6 +447,37 @@ def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypat
     assert "no head model 'nobody': expected one of the bundled head models" in capsys.readouterr().err
 
 
+def test_training_on_filled_labels_with_a_confidence(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:
+    """Incomplete faces join the training if asked to, and both it and the confidence learn from the same faces."""
+    hidden = [replace(face, present=np.arange(21) % 4 > 0) for face in heads[3:5]]
+    faces = (*heads[:3], *hidden)
+    monkeypatch.setitem(FORMATS, "some", lambda _: Dataset("", AFLW21, faces))
+    learned, taught = [], []
+
+    def train(faces, scheme, **_):
+        learned.append([face.face for face in faces if face.complete])
+        return jaxfit.Trained(head_models["regression3d"], len(faces), ())
+
+    def learn_confidence(model, faces, folds, **_):
+        taught.append((folds, [(face.subject, face.face) for face in faces if face.complete]))
+        return replace(model, training=model.training | {"taught": True})
+
+    monkeypatch.setattr("jaxfit.cli.train.train", train)
+    monkeypatch.setattr("jaxfit.cli.train.learn_confidence", learn_confidence)
+    out = tmp_path / "m.safetensors"
+    for more in ([], ["--fill"], ["--fill", "--confidence"], ["--confidence", "5"]):
+        assert main(["train", "--data", "some:x", "--out", str(out), *more]) == 0
+        assert ("taught" in jaxfit.load(out).training) == ("--confidence" in more)
+    names = [face.face for face in faces]
+    assert learned == [names[:3], names, names, names[:3]]
+    # Who bears one name in two datasets is two people.
+    ids = [(f"0/{face.subject}", face.face) for face in faces]
+    assert taught == [(3, ids), (5, ids[:3])]
+    for folds in ("-1", "0", "1"):
+        assert main(["train", "--data", "some:x", "--out", str(out), "--confidence", folds]) == 2
+        assert "--confidence: expected 2 folds or more" in capsys.readouterr().err
+
+
 def test_training_without_the_pictures_of_the_test(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:
     """Training itself is left out: it is told what it would get."""
     elsewhere = [replace(face, image=tmp_path / "cut" / face.image.name, face="other") for face in heads[1:3]]

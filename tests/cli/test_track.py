@@ -20,6 +20,7 @@ class Middle:
     """A detector of faces in the middle of the picture, as drawn ones are."""
 
     kinds = (SQUARE,)
+    rough = False
 
     def __call__(self, image: np.ndarray) -> list[Detection]:
         return [Detection(np.array([40.0, 43.0, 40.0, 40.0]), SQUARE)]
