@@ -50,6 +50,7 @@ _OF_EACH_FACE = (DETECTED, DETECTED, DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOW
 _APART = 0.15  # overlap (IoU) with the face below which a box is elsewhere
 _TRIES = 50  # to find such a box: where a face fills its picture there is none
 _BATCH = 64
+_PASSES = (1, 2)  # of the cascade: the second moves less, however good it is
 _PCA_SAMPLES = 3072
 _MOST_AXES = 128
 _VARIANCE = 0.9
@@ -72,12 +73,14 @@ class Trials:
             to half a face and a factor of 2, ``"elsewhere"`` in the picture, around a ``"part"`` of the face, or as
             detected but ``"upside down"``, or on a ``"pattern"``.
         faces: (N,) the number of each fit's face among those given.
+        passes: (N,) how often the cascade was run: each start is fitted in one pass, and again in two.
         confidence: (N,) what the model says of each fit; NaN if it has no confidence.
     """
 
     errors: np.ndarray
     starts: np.ndarray
     faces: np.ndarray
+    passes: np.ndarray
     confidence: np.ndarray
 
     @property
@@ -317,28 +320,29 @@ def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
     return (rng.uniform(40, 210) + contrast * (picture - picture.mean()) + grain).clip(0, 255).astype(np.uint8)
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="passes")
 def _tried(
-    model: tuple[Any, Any], crops: Array, turns: Array | None
+    model: tuple[Any, Any], crops: Array, turns: Array | None, passes: int
 ) -> tuple[Float[Array, "faces landmarks 2"], Array]:
     cascade, of_clues = model
-    landmarks, clues = find_clues(cascade, crops, turns)
+    landmarks, clues = find_clues(cascade, crops, turns, passes)
     return landmarks, jax.vmap(of_clues)(clues)
 
 
 def _fitted(model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress) -> tuple[Trials, np.ndarray]:
-    """Fits of what was drawn, and what ``of_clues`` makes of each fit's clues; models that are made for several starts
-    fit from one and from several."""
+    """Fits of what was drawn, in one pass and in two, and what ``of_clues`` makes of each fit's clues; models that are
+    made for several starts fit from one and from several."""
     several = model.training.get("initialisations", 1)
-    ways = [None] if several == 1 else [None, start_rotations(several, _rotations(model))]
+    turns = [None] if several == 1 else [None, start_rotations(several, _rotations(model))]
+    ways = [(turn, passes) for turn in turns for passes in _PASSES]
     count = len(drawn.crops)
     landmarks, made = [], []
-    for turns in ways:
+    for way in ways:
         for first in range(0, count, _BATCH):
             progress("fitting", first, count)
             rows = np.minimum(np.arange(first, first + _BATCH), count - 1)
             left = min(_BATCH, count - first)
-            found = _tried((model.cascade, of_clues), drawn.crops[rows], turns)
+            found = _tried((model.cascade, of_clues), drawn.crops[rows], *way)
             landmarks.append(np.asarray(found[0])[:left])
             made.append(np.asarray(found[1])[:left])
     progress("fitting", count, count)
@@ -346,7 +350,8 @@ def _fitted(model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress) -> 
     # Where there is no truth nothing can be measured: no face.
     measured = nmed(np.concatenate(landmarks), truth, model.scheme)
     errors = np.where(np.isnan(measured), np.inf, measured)
-    return Trials(errors, starts, faces, np.full(len(errors), np.nan)), np.concatenate(made)
+    passes = np.repeat([passes for _, passes in ways], count)
+    return Trials(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(made)
 
 
 def _rotations(model: Model) -> tuple[float, float]:

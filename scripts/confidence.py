@@ -101,7 +101,8 @@ def _text(arguments: argparse.Namespace, faces: Sequence[FaceRecord], trials: Tr
         }
         for name, of, what, error in (
             ("faces, or none", seen, detected, None),
-            ("good or bad, of faces", detected, good, True),
+            ("good or bad, of faces, in one pass", detected & (trials.passes == 1), good, True),
+            ("good or bad, of faces, in two passes", detected & (trials.passes == 2), good, True),
             ("good or bad, all", np.ones_like(good), good, True),
         )
     ]
@@ -139,8 +140,8 @@ These are the figures of a model trained as `{Path(arguments.model).stem}` was{_
 fourths of the people of {number} faces, and tested on the others: fits from boxes as a detector draws them (moved by 6
 to 15 % of their side, scaled by 8 to 20 %; standard deviations), from boxes off by up to half a face and a factor of 2,
 in other parts of the pictures (overlap below 0.15), in small parts of the face, in pictures turned upside down, and on
-patterns. Half of them are mirrored. The network learned from fits by {arguments.folds} models, each trained on other
-people than it fitted.
+patterns. Half of them are mirrored; each is fitted in one pass of the cascade, and again in two. The network learned
+from fits by {arguments.folds} models, each trained on other people than it fitted.
 
 ```
 python scripts/confidence.py {Path(arguments.model).name} {data}{options} --report docs/confidence.md

@@ -297,15 +297,16 @@ def find(
     return found
 
 
-@jax.jit
+@partial(jax.jit, static_argnames="passes")
 def find_clues(
     cascade: Cascade,
     crops: UInt8[Array, "faces height width"],
     rotations: Float[Array, "starts"] | None = None,
+    passes: int = 1,
 ) -> tuple[Float[Array, "faces landmarks 2"], Clues]:
     """What a model's confidence learns from: the landmarks that `fit_crops` gives, with the same arguments, and the
     clues of these fits."""
-    descent = _descended(cascade, crops, rotations, passes=1)
+    descent = _descended(cascade, crops, rotations, passes)
     return _landmarks(cascade, _best(cascade, descent, every_step=False), every_step=False), _clues(cascade, descent)
 
 
