@@ -11,6 +11,7 @@ import sys
 import time
 from base64 import b64encode
 from collections.abc import Callable
+from contextlib import suppress
 from hashlib import sha256
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler
@@ -159,13 +160,11 @@ class _Handler(BaseHTTPRequestHandler):
         """Let a client that is still sending read its answer: closing at once would take it away again."""
         super().finish()
         if self._unread:
-            self.connection.shutdown(SHUT_WR)
             incoming = BufferedReader(_Incoming(self.connection, _LINGER))
-            try:
+            with suppress(OSError):  # it is gone, or does not stop
+                self.connection.shutdown(SHUT_WR)
                 while incoming.read1(2**16):
                     pass
-            except (TimeoutError, ConnectionError):
-                pass
 
     def do_GET(self) -> None:
         """The page, and what it may choose from."""
