@@ -143,6 +143,23 @@ def test_a_picture_without_a_face_is_no_error(server: Server) -> None:
     assert (status, answer) == (200, {"width": 80, "height": 90, "faces": [], "problems": []})
 
 
+def test_confidence_and_faces_that_were_not_fitted(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    landmarks = np.ones((4, 68, 2))
+    landmarks[2:] = np.nan
+    boxes = np.full((4, 4), 10.0)
+    boxes[3] = np.nan
+    kinds, problems = ("whole",) * 4, {2: "the fit diverged", 3: "no face found"}
+    fits = jaxfit.Fits(
+        landmarks, problems, np.arange(4), boxes, kinds, confidence=np.array([0.1, 0.98765, np.nan, np.nan])
+    )
+    monkeypatch.setattr(service, "fit", lambda *_, **__: fits)
+    with quick(service._fitted) as server:
+        status, answer, _ = ask(server, "POST", FIT, encoded())
+    assert status == 200
+    assert [face["confidence"] for face in answer["faces"]] == [0.1, 0.988]
+    assert answer["problems"] == ["the fit diverged"]
+
+
 def test_the_page_may_do_only_what_it_needs(server: Server) -> None:
     status, page, headers = ask(server)
     assert status == 200
@@ -371,27 +388,15 @@ def test_nothing_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_pictures_go_before_models_that_nobody_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    done: list[str] = []
-    begun, go = Event(), Event()
-
-    def warm_up(model: object, **_: object) -> None:
-        done.append("model")
-        begun.set()
-        go.wait(WAIT)
-
-    monkeypatch.setattr(service, "warm_up", warm_up)
+def test_what_the_page_begins_with_is_compiled_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[object] = []
+    monkeypatch.setattr(service, "warm_up", lambda model, **how: done.append((model, how)))
     monkeypatch.setattr(service, "_fitted", lambda *_: done.append("picture") or NOTHING)
-    fitting = make_service()
+    models = {"first": jaxfit.load("regression68-3d"), "second": jaxfit.load("fast68")}
+    fitting = Service(models, {"haar": detector_named("haar")})
     fitting.warm_up()
-    assert begun.wait(WAIT)
-    with ThreadPoolExecutor(1) as pool:
-        asked = pool.submit(fitting.fit, encoded(), "fast68", "whole")
-        while not fitting._worker._work_queue.qsize():
-            time.sleep(0.001)
-        go.set()
-        assert asked.result() == NOTHING
-    assert done[:2] == ["model", "picture"]
+    assert fitting.fit(encoded(), "second", "haar") == NOTHING
+    assert done == [(models["first"], {"batches": (1,), "passes": 2}), "picture"]
     fitting.close()
 
 

@@ -145,6 +145,32 @@ def test_heads_have_poses_and_turn(server: Server, opened: Callable, portrait_fi
         assert turntable.evaluate("canvas => canvas.toDataURL()") != before
 
 
+def test_several_faces_and_how_sure_the_model_is(
+    server: Server, opened: Callable, portrait_file: Path, tmp_path: Path
+) -> None:
+    with opened(server) as page:
+        page.get_by_label("Model").select_option("regression68-3d")
+
+        def answer(route) -> None:
+            told = route.fetch().json()
+            (face,) = told["faces"]
+            moved = face | {"landmarks": [[x + 150, y + 40] for x, y in face["landmarks"]], "confidence": 0.314}
+            route.fulfill(json=told | {"faces": [face | {"confidence": 0.987}, moved]})
+
+        page.route("**/fit?*", answer)
+        choose(page, portrait_file)
+        page.get_by_text("2 faces in grace_hopper.jpg").wait_for()
+        assert [row[-1] for row in rows(page)] == ["0.99", "0.31"]
+        assert page.locator(".doubtful").all_text_contents() == ["0.31"]
+        assert page.get_by_text("Confidence is the probability of a good fit.").is_visible()
+        second = page.get_by_role("button", name="Face 2")
+        assert second.get_attribute("aria-pressed") == "false"
+        second.click()
+        assert second.get_attribute("aria-pressed") == "true"
+        assert page.locator("#turntable").get_attribute("aria-label").startswith("The 3D shape of face 2")
+        page.screenshot(path=tmp_path / "faces.png")
+
+
 def test_wrong_pictures_do_not_stop_the_others(
     server: Server, opened: Callable, portrait_file: Path, tmp_path: Path
 ) -> None:

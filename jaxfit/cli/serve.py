@@ -49,9 +49,9 @@ def run(options: argparse.Namespace) -> int:
     detectors = options.detector or _detectors()
     service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
-        print(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
-        service.warm_up()
         try:
+            print(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
+            service.warm_up()
             if not options.no_browser:
                 webbrowser.open(server.address)
             server.serve_forever()

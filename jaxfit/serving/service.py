@@ -55,19 +55,9 @@ class Service:
         return {"models": models, "detectors": list(self._detectors)}
 
     def warm_up(self) -> None:
-        """Compile the models one after the other in the background; pictures that come meanwhile go first."""
-        ways = [
-            (model, passes_from(detector)) for detector in self._detectors.values() for model in self._models.values()
-        ]
-        left = iter({(id(model), passes): (model, passes) for model, passes in ways}.values())
-
-        def compile_next() -> None:
-            if way := next(left, None):
-                model, passes = way
-                warm_up(model, batches=(1,), passes=passes)
-                self._worker.submit(compile_next)
-
-        self._worker.submit(compile_next)
+        """Compile, in the background, what the page begins with: the first model, for boxes of the first detector."""
+        model, detector = next(iter(self._models.values())), next(iter(self._detectors.values()))
+        self._worker.submit(warm_up, model, batches=(1,), passes=passes_from(detector))
 
     def fit(self, data: bytes, model: str, detector: str) -> dict[str, Any]:
         """The faces in a picture.
