@@ -1,5 +1,6 @@
-"""What all tests share: array shapes checked at run time, workers, real data where it is at hand, models of heads."""
+"""What all tests share: array shapes checked, workers, models of heads; real data and a browser if at hand."""
 
+import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -56,6 +57,22 @@ def head_models(heads: tuple) -> dict:
     from drawn_heads import train_heads
 
     return train_heads(heads)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator:
+    """Chromium, with a camera that sees a test card; once a module, for its event loop runs until it is closed."""
+    api = pytest.importorskip("playwright.sync_api")
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("needs Chromium or Chrome")
+    options = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-dev-shm-usage"]
+    options += ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+    with api.sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=path, args=options)
+        yield running
+        running.close()
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -53,8 +53,12 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
 
 def add_detector(command: argparse.ArgumentParser, about: str) -> None:
     """``--detector SPEC``."""
-    known = [*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)]
-    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {', '.join(known)}")
+    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {known_detectors()}")
+
+
+def known_detectors() -> str:
+    """What ``--detector`` takes, in words."""
+    return ", ".join([*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)])
 
 
 def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[np.ndarray]] | None:

@@ -1,6 +1,5 @@
 """Pictures from and to files: whole, upright, 8-bit, or a clear reason why not."""
 
-import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +8,7 @@ from threading import Lock
 import cv2
 import numpy as np
 
+from jaxfit.data.headers import END_OF_IMAGE, JPEG, PNG, jpeg_markers
 from jaxfit.data.outputs import atomic_write
 from jaxfit.exceptions import ImageError, InputError
 
@@ -17,7 +17,6 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 _UNREADABLE_SUFFIXES = (".heic", ".heif")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
-_JPEG = b"\xff\xd8"
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
@@ -32,7 +31,21 @@ def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
     Raises:
         ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
     """
-    return _decoded(path, _data(path), cv2.IMREAD_COLOR, exif)
+    return decode_image(_data(path), exif, path)
+
+
+def decode_image(data: bytes, exif: bool = True, source: str | Path = "the picture") -> np.ndarray:
+    """The picture in what a file holds as RGB, uint8 (H, W, 3), as `read_image` reads it.
+
+    Args:
+        data: the bytes of the file.
+        exif: as in `read_image`.
+        source: what errors call the picture.
+
+    Raises:
+        ImageError: the data are empty, truncated, or not a picture that OpenCV reads.
+    """
+    return _decoded(source, data, cv2.IMREAD_COLOR, exif)
 
 
 def read_upright(path: str | Path) -> np.ndarray:
@@ -55,7 +68,7 @@ def read_grey(path: str | Path) -> np.ndarray:
 
 def _grey(path: str | Path, exif: bool) -> np.ndarray:
     data = _data(path)
-    if data.startswith(_JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
+    if data.startswith(JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
         return _decoded(path, data, cv2.IMREAD_GRAYSCALE, exif)
     return to_grey(_decoded(path, data, cv2.IMREAD_COLOR, exif))
 
@@ -64,24 +77,23 @@ def _data(path: str | Path) -> bytes:
     """What is in a file that may be a picture."""
     try:
         with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
-            data = file.read()
+            return file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
         raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-    if complaint := _complaint(data):
-        raise ImageError(f"{path}: {complaint}")
-    return data
 
 
-def _decoded(path: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarray:
+def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarray:
     """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
+    if complaint := _complaint(data):
+        raise ImageError(f"{source}: {complaint}")
     flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with quiet():
             picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
-        raise ImageError(f"{path}: cannot be decoded ({error.err or error})") from error
+        raise ImageError(f"{source}: cannot be decoded ({error.err or error})") from error
     if picture is None:
-        raise ImageError(f"{path}: not a picture, damaged, or of a format that OpenCV does not read")
+        raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
@@ -223,21 +235,8 @@ def _complaint(data: bytes) -> str | None:
         return "the file is empty"
     if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
         return "HEIC pictures are not supported; convert it to JPEG"
-    jpeg = data.startswith(_JPEG)
-    png = data.startswith(b"\x89PNG\r\n\x1a\n")
-    if (jpeg and not _jpeg_ends(data)) or (png and b"IEND" not in data):
+    # The picture's own end marker; those of embedded thumbnails and of appended files do not count.
+    endless = data.startswith(JPEG) and all(marker != END_OF_IMAGE for marker, _ in jpeg_markers(data))
+    if endless or (data.startswith(PNG) and b"IEND" not in data):
         return "the file is truncated; copy or download it again"
     return None
-
-
-def _jpeg_ends(data: bytes) -> bool:
-    """Whether the picture's own end marker comes; those of embedded thumbnails and of appended files do not count."""
-    # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan.
-    marker = re.compile(rb"\xff([^\x00\xff\xd0-\xd7])", re.DOTALL)
-    at = 2
-    while found := marker.search(data, at):
-        if found[1] == b"\xd9":
-            return True
-        # Every other marker, start of scan included, heads a segment that gives its own length.
-        at = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
-    return False

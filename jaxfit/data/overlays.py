@@ -1,6 +1,7 @@
 """Landmarks and heads drawn over pictures."""
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -93,14 +94,35 @@ def draw_head(
     if not np.isfinite(pose).all():
         _depths(canvas, points, scheme)
         return canvas
-    rotation = np.asarray(pose_rotation(jnp.asarray(pose, jnp.float32)), np.float64)
-    corners, size = _head_box(points[known], rotation)
+    outline = outline_of(points[known], pose)
     thickness = _thickness(points[:, :2], canvas)
-    _lines(canvas, corners[:, :2], _OTHER_EDGES, _BEHIND, thickness)
-    _lines(canvas, corners[:, :2], _FRONT_EDGES, _FRONT, _BOLD * thickness)
+    _lines(canvas, outline.corners[:, :2], _OTHER_EDGES, _BEHIND, thickness)
+    _lines(canvas, outline.corners[:, :2], _FRONT_EDGES, _FRONT, _BOLD * thickness)
     _depths(canvas, points, scheme)
-    _axes(canvas, points[known].mean(0), rotation * _AXIS * size, _BOLD * thickness)
+    _axes(canvas, outline.axes, _BOLD * thickness)
     return canvas
+
+
+class Outline(NamedTuple):
+    """A head as a box and a cross.
+
+    Attributes:
+        corners: (8, 3) of a cuboid around the head: the four of its front, clockwise from the upper left of a frontal
+            face, then those behind them.
+        axes: (4, 3) where the axes meet, and the tips of x, y and z: to the head's left, down, and ahead.
+    """
+
+    corners: np.ndarray
+    axes: np.ndarray
+
+
+def outline_of(landmarks_3d: np.ndarray, pose: np.ndarray) -> Outline:
+    """The outline of a head from its landmarks (L, 3) and its roll, pitch and yaw (3,) in degrees, all finite."""
+    rotation = np.asarray(pose_rotation(jnp.asarray(pose, jnp.float32)), np.float64)
+    corners, size = _head_box(landmarks_3d, rotation)
+    origin = landmarks_3d.mean(0)
+    tips = origin + (rotation * _AXIS * size * [1, 1, -1]).T  # the face looks along -z
+    return Outline(corners, np.vstack([origin, tips]))
 
 
 def draw_name(rgb: np.ndarray, name: str, box: np.ndarray) -> np.ndarray:
@@ -154,13 +176,11 @@ def _depths(canvas: np.ndarray, points: np.ndarray, scheme: Scheme) -> None:
         _dot(canvas, flat[index], colour(depths[index]), thickness)
 
 
-def _axes(canvas: np.ndarray, origin: np.ndarray, axes: np.ndarray, thickness: float) -> None:
-    """The head's axes, columns of ``axes`` (3, 3), from a point (3,); those that point away lie below."""
-    tips = origin + (axes * [1, 1, -1]).T  # the face looks along -z
-    flat = np.vstack([origin, tips])[:, :2]
-    for index in np.argsort(-tips[:, 2]).tolist():
-        _lines(canvas, flat, ((0, index + 1),), _AXES[index], thickness)
-        _dot(canvas, tips[index, :2], _AXES[index], thickness)  # all that is seen of an axis along the line of sight
+def _axes(canvas: np.ndarray, axes: np.ndarray, thickness: float) -> None:
+    """The head's axes (4, 3), as in `Outline`; those that point away lie below."""
+    for index in np.argsort(-axes[1:, 2]).tolist():
+        _lines(canvas, axes[:, :2], ((0, index + 1),), _AXES[index], thickness)
+        _dot(canvas, axes[index + 1, :2], _AXES[index], thickness)  # all there is of an axis along the line of sight
 
 
 def _head_box(points: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, float]:

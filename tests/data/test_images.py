@@ -9,7 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.data.images import GreyPictures, find_images, read_grey, read_image, read_upright, to_grey, write_image
+from jaxfit.data.images import (
+    GreyPictures,
+    decode_image,
+    find_images,
+    read_grey,
+    read_image,
+    read_upright,
+    to_grey,
+    write_image,
+)
 from jaxfit.exceptions import ImageError, InputError
 
 LOSSLESS = [".png", ".bmp", ".tif", ".tiff", ".webp"]
@@ -152,6 +161,14 @@ def test_what_follows_a_jpeg_does_not_matter(tmp_path, rgb):
 def test_files_that_are_no_pictures(tmp_path, data, reason):
     with pytest.raises(ImageError, match=rf"picture: .*{reason}"):
         read_bytes(tmp_path, data)
+
+
+def test_pictures_in_memory_are_like_those_in_files(tmp_path, rgb):
+    data = oriented(encoded(rgb), 6)
+    for exif in (True, False):
+        np.testing.assert_array_equal(decode_image(data, exif), read_bytes(tmp_path, data, exif=exif))
+    with pytest.raises(ImageError, match=r"^the picture: .*truncated"):
+        decode_image(data[:-200])
 
 
 def test_files_that_cannot_be_opened(tmp_path):

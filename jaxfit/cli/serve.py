@@ -1,0 +1,87 @@
+"""``jaxfit serve``: a page in the browser that fits pictures and webcams."""
+
+import argparse
+import webbrowser
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TypeVar
+
+from jaxfit.cli.arguments import known_detectors
+from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
+from jaxfit.exceptions import InputError
+from jaxfit.models.files import bundled, load
+from jaxfit.serving import Server, Service
+
+T = TypeVar("T")
+
+_FIRST = "sdm68"
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "serve",
+        help="open a page that fits pictures and webcams",
+        description="Serve a page to the browsers of this machine, until Ctrl-C: it fits the pictures that are dropped "
+        "on it, or a webcam's, and draws landmarks and heads. Pictures stay in memory; nothing is written or sent on.",
+    )
+    command.add_argument(
+        "--model",
+        nargs="+",
+        metavar="MODEL",
+        help="bundled models' names or model files to choose from (default: all bundled models)",
+    )
+    command.add_argument(
+        "--detector",
+        nargs="+",
+        metavar="SPEC",
+        help=f"what finds the faces, to choose from: {known_detectors()} (default: haar, whole, and dlib if installed)",
+    )
+    command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
+    command.add_argument("--no-browser", action="store_true", help="only say where the page is")
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve until Ctrl-C."""
+    models = options.model or sorted(bundled(), key=lambda name: name != _FIRST)
+    detectors = options.detector or _detectors()
+    service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
+    with Server(service, options.port) as server:
+        try:
+            print(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
+            service.warm_up()
+            if not options.no_browser:
+                webbrowser.open(server.address)
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print("\nstopped", flush=True)
+        finally:
+            service.close()
+    return 0
+
+
+def _detectors() -> list[str]:
+    """Those that need no file."""
+    return [DEFAULT_DETECTOR, *(["dlib"] if find_spec("dlib") else []), "whole"]
+
+
+def _model_name(spec: str) -> str:
+    return Path(spec).stem
+
+
+def _detector_name(spec: str) -> str:
+    return spec.partition(":")[0]
+
+
+def _by_name(specs: Sequence[str], make: Callable[[str], T], name: Callable[[str], str]) -> dict[str, T]:
+    """What the specifications stand for, by the names that the page shows.
+
+    Raises:
+        InputError: two have the same name.
+    """
+    names = list(map(name, specs))
+    if len(set(names)) < len(names):
+        raise InputError(f"expected each name once; got {' '.join(names)}")
+    return {name: make(spec) for name, spec in zip(names, specs, strict=True)}

@@ -1,0 +1,75 @@
+"""What the first bytes of pictures say: their sizes, without decoding them, and the segments of JPEG."""
+
+import re
+import struct
+from collections.abc import Iterator
+
+JPEG = b"\xff\xd8"
+PNG = b"\x89PNG\r\n\x1a\n"
+END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
+_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
+# After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan; 0x01 has no
+# segment either.
+_MARKER = re.compile(rb"\xff([^\x00\x01\xff\xd0-\xd7])", re.DOTALL)
+
+
+def stored_size(data: bytes) -> tuple[int, int] | None:
+    """Width and height in pixels, as stored, of a JPEG, PNG, WebP or BMP picture; None for all else.
+
+    They are what the header promises: the picture may be damaged all the same.
+    """
+    try:
+        if data.startswith(JPEG):
+            return _jpeg_size(data)
+        if data.startswith(PNG) and data[12:16] == b"IHDR":
+            width, height = struct.unpack_from(">II", data, 16)
+            return width, height
+        if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+            return _webp_size(data)
+        if data.startswith(b"BM"):
+            return _bmp_size(data)
+    except struct.error:  # the header is cut off
+        pass
+    return None
+
+
+def jpeg_markers(data: bytes) -> Iterator[tuple[int, int]]:
+    """The markers of a JPEG file after its first, each with the place of what follows it.
+
+    Segments are stepped over, and the markers of embedded thumbnails with them.
+    """
+    at = len(JPEG)
+    while found := _MARKER.search(data, at):
+        yield found[1][0], found.end()
+        # Every marker but the last, start of scan included, heads a segment that gives its own length.
+        at = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    for marker, at in jpeg_markers(data):
+        if marker in _START_OF_FRAME:
+            height, width = struct.unpack_from(">HH", data, at + 3)
+            return width, height
+        if marker in (START_OF_SCAN, END_OF_IMAGE):
+            break
+    return None
+
+
+def _webp_size(data: bytes) -> tuple[int, int] | None:
+    kind = data[12:16]
+    if kind == b"VP8X":  # extended: the size of the canvas, less one, in 24 bits each
+        low, middle, high = struct.unpack_from("<HHH", data, 24)
+        return 1 + (low | (middle & 0xFF) << 16), 1 + (middle >> 8 | high << 8)
+    if kind == b"VP8L" and data[20:21] == b"\x2f":  # lossless: 14 bits each
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8 " and data[23:26] == b"\x9d\x01\x2a":
+        width, height = struct.unpack_from("<HH", data, 26)
+        return width & 0x3FFF, height & 0x3FFF
+    return None
+
+
+def _bmp_size(data: bytes) -> tuple[int, int]:
+    (header,) = struct.unpack_from("<I", data, 14)
+    width, height = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
+    return abs(width), abs(height)  # negative heights: the first row is the upper one

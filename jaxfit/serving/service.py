@@ -1,0 +1,142 @@
+"""What the page asks for: pictures in, faces out, as plain data for JSON. Nothing here knows of HTTP."""
+
+from collections.abc import Mapping
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+
+from jaxfit.data.detectors import Detector
+from jaxfit.data.headers import stored_size
+from jaxfit.data.images import decode_image
+from jaxfit.data.overlays import outline_of
+from jaxfit.evaluation.pose import ANGLES
+from jaxfit.exceptions import ImageError, InputError, JaxfitError
+from jaxfit.fitting import Fits, fit, passes_from, warm_up
+from jaxfit.models.model import Model
+
+MOST_PIXELS = 50_000_000  # of a picture; decoded, it takes three bytes each
+_DIGITS = 3  # after the point: thousandths of pixels and degrees
+
+
+class Closed(JaxfitError):
+    """Nothing is fitted any more."""
+
+
+class Service:
+    """Fits pictures with models and detectors by their names, one picture after the other.
+
+    Args:
+        models: by name; the first is the one to begin with.
+        detectors: by name, likewise.
+
+    Raises:
+        InputError: there is no model, or no detector.
+    """
+
+    def __init__(self, models: Mapping[str, Model], detectors: Mapping[str, Detector]):
+        if not models or not detectors:
+            raise InputError(f"expected models and detectors; got {len(models)} and {len(detectors)}")
+        self._models, self._detectors = models, detectors
+        # Pictures take their turns; and detectors keep what they have read from files for the thread that they run in.
+        self._worker = ThreadPoolExecutor(1, "fitting")
+
+    def options(self) -> dict[str, Any]:
+        """The models, with their landmarks and the lines that draw them, and the names of the detectors."""
+        models = [
+            {
+                "name": name,
+                "landmarks": model.scheme.count,
+                "lines": model.scheme.lines,
+                "solid": model.solid is not None,
+            }
+            for name, model in self._models.items()
+        ]
+        return {"models": models, "detectors": list(self._detectors)}
+
+    def warm_up(self) -> None:
+        """Compile, in the background, what the page begins with: the first model, for boxes of the first detector."""
+        model, detector = next(iter(self._models.values())), next(iter(self._detectors.values()))
+        self._worker.submit(warm_up, model, batches=(1,), passes=passes_from(detector))
+
+    def fit(self, data: bytes, model: str, detector: str) -> dict[str, Any]:
+        """The faces in a picture.
+
+        Args:
+            data: the bytes of a JPEG, PNG, WebP or BMP file.
+            model: the name of one of the models.
+            detector: the name of one of the detectors.
+
+        Returns:
+            The picture's width and height, upright as its EXIF data say; its faces; and what became of those that were
+            found but not fitted. All coordinates are in pixels.
+
+        Raises:
+            InputError: no such model or detector, or the model does not know the detector's boxes.
+            ImageError: not a picture, a damaged one, or one of too many pixels.
+            Closed: the service was closed before it came to this picture.
+        """
+        chosen, finder = _named("model", self._models, model), _named("detector", self._detectors, detector)
+        size = stored_size(data)
+        if size is None:
+            raise ImageError("the picture: not a JPEG, PNG, WebP or BMP file")
+        if size[0] * size[1] > MOST_PIXELS:
+            most = MOST_PIXELS // 1_000_000
+            raise ImageError(f"the picture: {size[0]} x {size[1]} pixels; expected at most {most} million")
+        try:
+            fitted = self._worker.submit(_fitted, data, chosen, finder)
+        except RuntimeError:
+            raise Closed("jaxfit is ending") from None
+        try:
+            return fitted.result()
+        except CancelledError:
+            raise Closed("jaxfit is ending") from None
+
+    def close(self) -> None:
+        """Finish what is being computed, and begin nothing more."""
+        self._worker.shutdown(cancel_futures=True)
+
+
+def _named(what: str, known: Mapping[str, Any], name: str) -> Any:
+    if name not in known:
+        raise InputError(f"expected a {what} among {', '.join(known)}; got {name!r}")
+    return known[name]
+
+
+def _fitted(data: bytes, model: Model, detector: Detector) -> dict[str, Any]:
+    """What `Service.fit` gives."""
+    image = decode_image(data)
+    fits = fit(model, [image], detector=detector)
+    found = np.isfinite(fits.boxes).all(1)  # else there is one row, which says that there is no face
+    return {
+        "width": image.shape[1],
+        "height": image.shape[0],
+        "faces": [_face(fits, number) for number in map(int, np.flatnonzero(fits.fitted))],
+        "problems": [why for number, why in fits.problems.items() if found[number]],
+    }
+
+
+def _face(fits: Fits, number: int) -> dict[str, Any]:
+    """One face: everything that `Fits` says of it but the coefficients, and the outline of its head."""
+    face: dict[str, Any] = {
+        "box": _plain(fits.boxes[number]),
+        "kind": fits.kinds[number],
+        "confidence": None if fits.confidence is None else _plain(fits.confidence[number]),
+        "landmarks": _plain(fits.landmarks[number]),
+    }
+    if fits.landmarks_3d is None or fits.pose is None or fits.scale is None:
+        return face
+    # Of alignments, as in the overlays, the landmarks that were found at the aligned shape's depths.
+    solid = np.column_stack([fits.landmarks[number], fits.landmarks_3d[number, :, 2]])
+    outline = outline_of(solid, fits.pose[number])
+    return face | {
+        "landmarks_3d": _plain(fits.landmarks_3d[number]),
+        "pose": dict(zip(ANGLES, _plain(fits.pose[number]), strict=True)),
+        "scale": _plain(fits.scale[number]),
+        "head": {"corners": _plain(outline.corners), "axes": _plain(outline.axes)},
+    }
+
+
+def _plain(values: np.ndarray | np.floating) -> Any:
+    """Numbers as JSON has them: a number, or lists of numbers."""
+    return np.round(values, _DIGITS).tolist()
