@@ -1,9 +1,9 @@
 """jaxfit: face landmarks, 3D shape and head pose by cascaded regression, vectorised in JAX.
 
->>> model = jaxfit.load("sdm68")
->>> fits = jaxfit.fit(model, images, boxes)
+>>> model = jaxfit.load("face68")
+>>> fits = jaxfit.fit(model, images)
 >>> fits.landmarks  # (N, 68, 2), in the pixels of each image
->>> heads = jaxfit.fit(jaxfit.load("regression68-3d"), images, boxes)
+>>> heads = jaxfit.fit(jaxfit.load("face68-3d"), images)
 >>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
 """
 

@@ -120,10 +120,11 @@ def _text(arguments: argparse.Namespace, faces: Sequence[FaceRecord], trials: Tr
     options = "".join(
         f" --{name.replace('_', '-')} {value}"
         for name, value in vars(arguments).items()
-        if name in ("lift_yaw", "folds", "seed", "every", "augmentations") and value
+        if name in ("lift_yaw", "folds", "seed", "every", "augmentations") and value and (name, value) != ("every", 1)
     )
     data = " ".join(
-        f"--{name} " + " ".join(f"{spec.partition(':')[0]}:{Path(spec).name}" for spec in specs)
+        f"--{name} "
+        + " ".join(f"{format_}:{Path(path).name}" for format_, _, path in (spec.partition(":") for spec in specs))
         for name in ("data", "lift", "without")
         if (specs := getattr(arguments, name))
     ) + (" --fill" if arguments.fill else "")

@@ -1,4 +1,4 @@
-"""Every command and every line of Python in the README, run as it stands there."""
+"""Every command and every line of Python in the README and the guides, run as it stands there."""
 
 import re
 import shlex
@@ -19,16 +19,16 @@ from jaxfit.shapes.conversions import convert
 from jaxfit.shapes.schemes import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("command-line", "training", "python"))]
 # What needs an installer or would run these very tests again; the Makefile's targets are looked up instead.
 NOT_RUN = {"pip install .", "make test"}
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-COMMANDS = [line for block in blocks("bash") for line in block.strip().splitlines()]
+COMMANDS = [line for page in PAGES for block in blocks(page, "bash") for line in block.strip().splitlines()]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             name = folder / "faces" / part / f"face{number:03}"
             write_image(name.with_suffix(".png"), portrait[top:, left:])
             write_pts(name.with_suffix(".pts"), points - [left, top] + rng.normal(0, 1, points.shape))
-    (toml,) = blocks("toml")
+    (toml,) = blocks(ROOT / "docs" / "training.md", "toml")
     (folder / "compare.toml").write_text(toml, encoding="utf-8")
     _write_aflw(folder / "aflw", portrait, convert(points, IBUG68, AFLW21))
     _write_aflw2000(folder / "AFLW2000", portrait, points)
@@ -94,7 +94,7 @@ def run(command: str) -> None:
         portrait = "photos/portrait.jpg"
         command = f"jaxfit fit {portrait} --out demo"
     program, *arguments = shlex.split(command)
-    assert program == "jaxfit", f"the README has a command that no test runs: {command}"
+    assert program == "jaxfit", f"no test runs this command: {command}"
     assert main(arguments) == 0, command
 
 
@@ -129,9 +129,11 @@ def test_make_targets_exist() -> None:
 
 def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    names: dict[str, object] = {}
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), names)
+    for page in PAGES:
+        names: dict[str, object] = {}
+        for block in blocks(page, "python"):
+            exec(compile(block, page.name, "exec"), names)
+        assert "fits" in names or not blocks(page, "python")
     assert names["fits"].landmarks.shape == (1, 68, 2)
     assert np.isfinite(names["fits"].landmarks).all()
     np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
@@ -142,8 +144,9 @@ def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_links() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        assert (ROOT / target).exists(), target
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
 
 
 def test_documents_are_finished() -> None:

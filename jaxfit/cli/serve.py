@@ -10,12 +10,10 @@ from typing import TypeVar
 from jaxfit.cli.arguments import known_detectors
 from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
 from jaxfit.exceptions import InputError
-from jaxfit.models.files import bundled, load
+from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
 
 T = TypeVar("T")
-
-_FIRST = "sdm68"
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -45,7 +43,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
-    models = options.model or sorted(bundled(), key=lambda name: name != _FIRST)
+    models = options.model or sorted(bundled(), key=lambda name: name != DEFAULT_MODEL)
     detectors = options.detector or _detectors()
     service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:

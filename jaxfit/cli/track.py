@@ -16,7 +16,7 @@ from jaxfit.data.outputs import atomic_write
 from jaxfit.data.overlays import draw_head, draw_landmarks, draw_name
 from jaxfit.data.videos import Video, write_video
 from jaxfit.evaluation.pose import ANGLES
-from jaxfit.models.files import load
+from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.smoothing import OneEuro
 from jaxfit.tracking import TrackedFace, TrackedFrame, track
@@ -33,7 +33,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "video", metavar="VIDEO_OR_CAMERA", help="a video file, or the number of a camera (stop it with Ctrl-C)"
     )
-    command.add_argument("--model", default="sdm68", help="a bundled model's name or a model file (default: sdm68)")
+    command.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
+    )
     command.add_argument(
         "--detector",
         default=DEFAULT_DETECTOR,

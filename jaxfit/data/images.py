@@ -1,7 +1,9 @@
 """Pictures from and to files: whole, upright, 8-bit, or a clear reason why not."""
 
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from glob import glob
 from pathlib import Path
 from threading import Lock
 
@@ -15,6 +17,7 @@ from jaxfit.exceptions import ImageError, InputError
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
 # Taken up from folders all the same, so that read_image says what is wrong with them.
 _UNREADABLE_SUFFIXES = (".heic", ".heif")
+_VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
@@ -179,32 +182,44 @@ def to_eight_bits(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image[..., :3])
 
 
-def find_images(paths: Iterable[str | Path]) -> list[Path]:
-    """The files among ``paths`` and the pictures directly in the folders among them, folders sorted by name.
+def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Path]:
+    """The files among ``paths`` and the pictures in the folders among them, folders sorted by name.
 
-    What is named twice comes once. Hidden files in folders are left out.
+    What is named twice comes once. Hidden files and folders in folders are left out. A path that does not exist may be
+    a pattern, such as ``photos/*.jpg`` or ``photos/**/*.jpg``.
+
+    Args:
+        paths: files, folders and patterns.
+        recursive: take pictures in folders within the folders, too.
 
     Raises:
-        InputError: a path does not exist, or a folder has no picture.
+        InputError: a path does not exist, nothing fits a pattern, a folder has no picture, or a file is a video.
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        if path.is_dir():
-            found += _pictures_in(path)
-        elif path.exists():
-            found.append(path)
-        else:
+        matches = [path] if path.exists() else sorted(map(Path, glob(str(path), recursive=True)))
+        if not matches:
             raise InputError(f"no such file or folder: {path}")
+        for match in matches:
+            if match.is_dir() and (match == path or recursive):
+                found += _pictures_in(match, recursive)
+            elif match.is_file() and match.suffix.lower() in _VIDEO_SUFFIXES:
+                raise InputError(f"{match} is a video: `jaxfit track` follows faces through videos")
+            elif not match.is_dir():
+                found.append(match)
     return list(dict.fromkeys(found))
 
 
-def _pictures_in(folder: Path) -> list[Path]:
+def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
     wanted = (*PICTURE_SUFFIXES, *_UNREADABLE_SUFFIXES)
-    pictures = sorted(
-        file
-        for file in folder.iterdir()
-        if file.suffix.lower() in wanted and file.is_file() and not file.name.startswith(".")
-    )
+    pictures: list[Path] = []
+    for place, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if recursive and not name.startswith("."))
+        pictures += (
+            path
+            for name in sorted(files)
+            if name.lower().endswith(wanted) and not name.startswith(".") and (path := Path(place, name)).is_file()
+        )
     if not pictures:
         raise InputError(f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}")
     return pictures

@@ -27,6 +27,7 @@ from jaxfit.shapes.schemes import Scheme, scheme_named
 
 FORMAT = 1
 SUFFIX = ".safetensors"
+DEFAULT_MODEL = "face68"  # a bundled one
 
 _KEY = "jaxfit"
 _BUNDLED = "bundled"
@@ -73,7 +74,7 @@ def bundled() -> list[str]:
     return names_in(_BUNDLED)
 
 
-def load(name: str | Path) -> Model:
+def load(name: str | Path = DEFAULT_MODEL) -> Model:
     """Load a bundled model by name, or a model file by path.
 
     Raises:
