@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     told = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
     print(f"""
 {len(names)} pictures: {len(fits)} with faces, {len(problems)} with a problem, {len(fits & problems)} with both,
-{len(names - fits - problems)} with neither. The tables of the killed run are {"" if same else "NOT "}those of the other.
+{len(names - fits - problems)} with neither. The killed run's tables are {"" if same else "NOT "}those of the other.
 Broken pictures: {len(broken)}; reported: {sum(kinds.values())} ({told}).""")
     return 0 if same and not names - fits - problems else 1
 

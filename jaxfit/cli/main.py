@@ -9,10 +9,10 @@ from pathlib import Path
 import jax
 
 import jaxfit
-from jaxfit.cli import evaluate, experiments, export, fit, serve, track, train
+from jaxfit.cli import evaluate, experiments, export, fit, models, serve, track, train
 from jaxfit.exceptions import JaxfitError
 
-_COMMANDS = (train, evaluate, fit, track, serve, export, experiments)
+_COMMANDS = (fit, track, serve, models, train, evaluate, export, experiments)
 
 
 def parser() -> argparse.ArgumentParser:

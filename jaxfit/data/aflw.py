@@ -70,7 +70,7 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     try:
         with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
             yield database
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeError) as error:  # SQLite's own messages may quote bytes that are no text
         raise DatasetError(f"{file}: expected AFLW's SQLite database; {error}; copy it again") from error
 
 

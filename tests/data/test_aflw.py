@@ -147,6 +147,17 @@ def test_truncated_database(aflw):
         read_aflw(path)
 
 
+def test_a_database_whose_errors_are_no_text(aflw):
+    """SQLite quotes what it does not understand, and here that is not UTF-8."""
+    folder, home, database = aflw
+    add_face(database, 1)
+    database.close()
+    file = home / "aflw.sqlite"
+    file.write_bytes(file.read_bytes().replace(b"CREATE TABLE FaceRect", b"CREATE TABLE \x89aceR\xeb("))
+    with pytest.raises(DatasetError, match="copy it again"):
+        read_aflw(folder)
+
+
 def test_reading_leaves_no_trace(aflw):
     path, folder, database = aflw
     add_face(database, 1)

@@ -1,0 +1,58 @@
+"""``jaxfit models``: what models there are."""
+
+import argparse
+from importlib import resources
+
+from jaxfit.exceptions import InputError
+from jaxfit.models.cards import read_cards
+from jaxfit.models.files import DEFAULT_MODEL, SUFFIX, bundled, load
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "models",
+        help="list the models of the package",
+        description="List the models of the package; of those that are named, say all there is to say.",
+    )
+    command.add_argument("names", nargs="*", metavar="NAME", help="bundled models")
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """List, or describe."""
+    cards = read_cards()
+    if unknown := [name for name in options.names if name not in cards]:
+        raise InputError(f"no model {unknown[0]!r}: expected one of the bundled models {', '.join(bundled())}")
+    if options.names:
+        print("\n\n".join(_described(name) for name in options.names))
+        return 0
+    width = max(map(len, cards))
+    for name in sorted(cards, key=lambda name: name != DEFAULT_MODEL):
+        default = " (the default)" if name == DEFAULT_MODEL else ""
+        print(f"{name:{width}}  {_megabytes(name):4.1f} MB  {cards[name].summary}{default}")
+    print("\n`jaxfit models NAME` says more. All were trained on pictures that are for research use.")
+    return 0
+
+
+def _described(name: str) -> str:
+    card, model = read_cards()[name], load(name)
+    parts = {
+        "for": card.summary,
+        "landmarks": f"{model.scheme.count} ({model.scheme.name}){', 3D shape and pose' if model.solid else ''}",
+        "method": f"{model.training['method']}, {len(model.cascade.weights)} steps",
+        "confidence": "no" if model.confidence is None else "yes",
+        "boxes": ", ".join(model.known_placements),
+        "trained on": f"{model.training['faces']} faces",
+        "accuracy": card.accuracy,
+        "speed": card.speed,
+        "size": f"{_megabytes(name):.1f} MB",
+        "terms": card.terms,
+    }
+    width = max(map(len, parts))
+    return "\n".join([name, *(f"  {key:{width}}  {value}" for key, value in parts.items())])
+
+
+def _megabytes(name: str) -> float:
+    with resources.as_file(resources.files("jaxfit.models").joinpath("bundled", name + SUFFIX)) as path:
+        return path.stat().st_size / 1e6

@@ -1,0 +1,438 @@
+"""Feed mutated files and requests to all that reads what others made; report what ends in other than jaxfit's errors.
+
+Each target is tried by processes of its own, so that crashes and hangs are found as well; what was found is kept with
+the input that did it, and the same seed makes the same inputs.
+"""
+
+import argparse
+import json
+import resource
+import shutil
+import socket
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.io import savemat
+
+import jaxfit
+from jaxfit.cli.arguments import seed
+from jaxfit.cli.main import exit_code
+from jaxfit.data.boxes import read_boxes
+from jaxfit.data.datasets import read_dataset
+from jaxfit.data.detectors.whole import Whole
+from jaxfit.data.images import decode_image, write_image
+from jaxfit.data.pts import write_pts
+from jaxfit.data.records import FaceRecord
+from jaxfit.data.videos import Video, write_video
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import JaxfitError
+from jaxfit.experiments import read_config
+from jaxfit.models.heads import load_head, save_head
+from jaxfit.serving import Server, Service
+from jaxfit.shapes.schemes import IBUG68, LFPW29_NAMES
+from jaxfit.training import Options, train
+
+_LIMIT = 20.0  # seconds for one input
+_MEMORY = 8 * 2**30  # bytes that a process may ask for
+_READ, _PART, _REFUSED, _FOUND = "read", "read in part", "refused", "finding"
+_TOKENS = [
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e999",
+    b"0",
+    b"99999999999999999999",
+    b"",
+    b"\0",
+    b"\xff\xfe",
+    b"{}",
+    b"null",
+    b"[[",
+    b"../",
+]
+
+
+class Target(NamedTuple):
+    """Something that reads: what it reads well, and how to have it read something else."""
+
+    seeds: list[bytes]
+    attempt: Callable[[bytes], str]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=20_000, metavar="N", help="inputs in all (default: 20000)")
+    parser.add_argument("--only", nargs="+", choices=TARGETS, default=list(TARGETS), help="what to try")
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--out", required=True, metavar="DIR", help="where findings are kept")
+    parser.add_argument("--worker", nargs=2, type=int, metavar=("FIRST", "LAST"), help=argparse.SUPPRESS)
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    out = Path(arguments.out)
+    out.mkdir(parents=True, exist_ok=True)
+    if arguments.worker:
+        _work(arguments.only[0], *arguments.worker, arguments.seed, out)
+        return 0
+    each = -(-arguments.count // len(arguments.only))
+    rows = []
+    for name in arguments.only:
+        began = time.monotonic()
+        outcomes = _tried(name, each, arguments.seed, out)
+        print(f"{name}: {dict(outcomes)}, {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+        rows.append(
+            {"target": name, "inputs": each, **{kind: outcomes[kind] for kind in (_READ, _PART, _REFUSED, _FOUND)}}
+        )
+    columns = {"target": "", "inputs": "d", _READ: "d", _PART: "d", _REFUSED: "d", _FOUND: "d"}
+    total = {key: sum(row[key] for row in rows) for key in columns if key != "target"}
+    print(markdown_table([*rows, {"target": "all", **total}], columns))
+    return 1 if total[_FOUND] else 0
+
+
+def _tried(name: str, count: int, seed: int, out: Path) -> Counter[str]:
+    """How a target took so many inputs; a process that dies or hangs is a finding, and the next goes on after it."""
+    outcomes: Counter[str] = Counter()
+    first = 0
+    while first < count:
+        for left in ("now", "outcomes.json"):
+            (out / left).unlink(missing_ok=True)
+        command = [sys.executable, __file__, "--out", str(out), "--seed", str(seed), "--only", name]
+        process = subprocess.Popen([*command, "--worker", str(first), str(count)], stderr=subprocess.DEVNULL)
+        while process.poll() is None:
+            time.sleep(0.1)
+            if (now := out / "now").exists() and time.time() - now.stat().st_mtime > 2 * _LIMIT:
+                process.kill()
+                process.wait()
+        told = json.loads((out / "outcomes.json").read_text()) if (out / "outcomes.json").exists() else {}
+        outcomes.update(told)
+        first += sum(told.values())
+        if process.returncode != 0 and first < count:
+            if not (out / "now").exists():
+                raise RuntimeError(f"{name}: the process could not begin")
+            outcomes[_FOUND] += 1
+            shutil.move(out / "now", out / f"{name}-{first:06}.crash")
+            first += 1
+    return outcomes
+
+
+def _work(name: str, first: int, last: int, seed: int, out: Path) -> None:
+    """Try some inputs; what became of them is written as it goes."""
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    warnings.simplefilter("ignore")
+    with tempfile.TemporaryDirectory() as folder:
+        target = TARGETS[name](Path(folder))
+        for data in target.seeds:
+            if target.attempt(data) != _READ:
+                raise RuntimeError(f"{name}: a seed is not read")
+        outcomes: Counter[str] = Counter()
+        for number in range(first, last):
+            data = mutated(target.seeds, np.random.default_rng([seed, number]))
+            (out / "now").write_bytes(data)
+            began = time.monotonic()
+            try:
+                outcome = target.attempt(data)
+            except JaxfitError:
+                outcome = _REFUSED
+            except Exception:
+                outcome = _FOUND
+                (out / f"{name}-{number:06}.txt").write_text(traceback.format_exc())
+            if time.monotonic() - began > _LIMIT:
+                outcome = _FOUND
+            if outcome == _FOUND:
+                shutil.copy(out / "now", out / f"{name}-{number:06}.input")
+            outcomes[outcome] += 1
+            (out / "outcomes.tmp").write_text(json.dumps(outcomes))
+            (out / "outcomes.tmp").replace(out / "outcomes.json")
+
+
+def mutated(seeds: list[bytes], rng: np.random.Generator) -> bytes:
+    """One of some inputs, changed in one to three places."""
+    data = bytearray(seeds[rng.integers(len(seeds))])
+    for _ in range(rng.integers(1, 4)):
+        at = int(rng.integers(len(data) + 1))
+        # Headers say more than what follows.
+        at = at if rng.random() < 0.5 else min(at, int(rng.integers(1, 257)))
+        length = int(min(2 ** rng.integers(0, 12), len(data) - at))
+        match rng.integers(8):
+            case 0 if at < len(data):
+                data[at] ^= 1 << int(rng.integers(8))
+            case 1 if at < len(data):
+                data[at] = int(rng.choice([0, 1, 0x7F, 0x80, 0xFF]))
+            case 2:
+                data = data[:at] if rng.random() < 0.3 else data
+            case 3:
+                del data[at : at + length]
+            case 4:
+                data[at:at] = data[at : at + length]
+            case 5:
+                other = seeds[rng.integers(len(seeds))]
+                start = int(rng.integers(len(other) + 1))
+                data[at : at + length] = other[start : start + length]
+            case 6:
+                data[at : at + int(rng.integers(4))] = _TOKENS[rng.integers(len(_TOKENS))]
+            case _:
+                data[at : at + length] = rng.bytes(length)
+    return bytes(data)
+
+
+def _picture() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(64), np.arange(48))
+    return np.stack([4 * x, 5 * y, 2 * (x + y)], -1).clip(0, 255).astype(np.uint8)
+
+
+def _points() -> np.ndarray:
+    return np.random.default_rng(1).uniform(8, 40, (68, 2))
+
+
+def _images(_: Path) -> Target:
+    suffixes = (".jpg", ".png", ".bmp", ".tif", ".webp")
+    pictures = (
+        _picture(),
+        _picture()[..., 0],
+        np.dstack([_picture(), _picture()[..., 0]]),
+        _picture().astype(np.uint16) * 257,
+    )
+    seeds = []
+    for suffix in suffixes:
+        for picture in pictures:
+            if (suffix in (".jpg", ".bmp", ".webp")) and (
+                picture.dtype == np.uint16 or (picture.ndim == 3 and picture.shape[2] == 4)
+            ):
+                continue
+            seeds.append(cv2.imencode(suffix, picture)[1].tobytes())
+    exif = bytes.fromhex("ffe10022457869660000") + b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    seeds.append(seeds[0][:2] + exif + seeds[0][2:])
+
+    def attempt(data: bytes) -> str:
+        decode_image(data)
+        return _READ
+
+    return Target(seeds, attempt)
+
+
+def _dataset(folder: Path, spec: str, changed: Path) -> Callable[[bytes], str]:
+    def attempt(data: bytes) -> str:
+        changed.write_bytes(data)
+        return _PART if read_dataset(spec).problems else _READ
+
+    return attempt
+
+
+def _pts(folder: Path) -> Target:
+    for name in ("a", "b"):
+        write_image(folder / f"{name}.png", _picture())
+        write_pts(folder / f"{name}.pts", _points())
+    seed = (folder / "a.pts").read_bytes()
+    return Target([seed], _dataset(folder, f"pts:{folder}", folder / "b.pts"))
+
+
+def _aflw(folder: Path) -> Target:
+    (folder / "flickr").mkdir()
+    write_image(folder / "flickr" / "f.jpg", _picture())
+    path = folder / "aflw.sqlite"
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("CREATE TABLE Faces (face_id, file_id)")
+        database.execute("CREATE TABLE FaceImages (file_id, filepath)")
+        database.execute("CREATE TABLE FaceRect (face_id, x, y, w, h)")
+        database.execute("CREATE TABLE FacePose (face_id, roll, pitch, yaw)")
+        database.execute("CREATE TABLE FeatureCoords (face_id, feature_id, x, y)")
+        database.execute("INSERT INTO FaceImages VALUES ('f', 'f.jpg')")
+        for face in range(1, 4):
+            database.execute("INSERT INTO Faces VALUES (?, 'f')", (face,))
+            database.execute("INSERT INTO FaceRect VALUES (?, 1, 2, 30, 30)", (face,))
+            database.execute("INSERT INTO FacePose VALUES (?, 0.1, 0.2, -0.3)", (face,))
+            rows = [(face, number, *map(float, point)) for number, point in enumerate(_points()[:21], 1)]
+            database.executemany("INSERT INTO FeatureCoords VALUES (?, ?, ?, ?)", rows)
+    return Target([path.read_bytes()], _dataset(folder, f"aflw:{folder}", path))
+
+
+def _lfpw(folder: Path) -> Target:
+    write_image(folder / "a.png", _picture())
+    header = ["imgurl", "worker", *(f"{name}_{part}" for name in LFPW29_NAMES for part in "xyt")]
+    row = ["a.png", "average", *(text for x, y in _points()[:29] for text in (f"{x:.1f}", f"{y:.1f}", "0"))]
+    path = folder / "labels.csv"
+    text = "\t".join(header) + "\n" + ("\t".join(row) + "\n") * 2
+    return Target([text.encode()], _dataset(folder, f"lfpw:{path}", path))
+
+
+def _pointing04(folder: Path) -> Target:
+    person = folder / "Person01"
+    person.mkdir()
+    for name in ("person01146+0+0", "person01147+0+15"):
+        write_image(person / f"{name}.jpg", _picture())
+        (person / f"{name}.txt").write_text(f"{name}.jpg\n\nFace\n30\n20\n18\n20\n")
+    path = person / "person01147+0+15.txt"
+    return Target([path.read_bytes()], _dataset(folder, f"pointing04:{folder}", path))
+
+
+def _aflw2000(folder: Path) -> Target:
+    for name in ("a", "b"):
+        write_image(folder / f"{name}.jpg", _picture())
+        points = np.vstack([_points().T, np.zeros(68)])
+        savemat(
+            folder / f"{name}.mat", {"Pose_Para": np.full((1, 7), 0.1), "pt3d_68": points}, do_compression=name == "b"
+        )
+    seeds = [(folder / f"{name}.mat").read_bytes() for name in ("a", "b")]
+    return Target(seeds, _dataset(folder, f"aflw2000:{folder}", folder / "b.mat"))
+
+
+def _boxes(folder: Path) -> Target:
+    def attempt(data: bytes) -> str:
+        (folder / "boxes.csv").write_bytes(data)
+        read_boxes(folder / "boxes.csv")
+        return _READ
+
+    return Target(
+        [
+            b"image,x,y,width,height\na.png,1,2,30,40\nb.png,5.5,6,7,8\n",
+            b'width,height,x,y,image\r\n9,9,1,1,"a, b.png"\r\n',
+        ],
+        attempt,
+    )
+
+
+def _small_model(folder: Path) -> jaxfit.Model:
+    """Of three landmarks' worth of training: quick to make and to read."""
+    faces = []
+    for number in range(6):
+        picture = np.random.default_rng(number).integers(0, 255, (120, 120), dtype=np.uint8)
+        write_image(folder / f"face{number}.png", picture)
+        points = 30 + 1.2 * _points() + np.random.default_rng(number).normal(0, 1, (68, 2))
+        present = np.ones(68, bool)
+        faces.append(
+            FaceRecord(folder / f"face{number}.png", points, present, present, None, None, str(number), str(number))
+        )
+    options = Options(windows=(0.3,), augmentations=1, rank=2, haar=False)
+    return train(faces, IBUG68, options=options).model
+
+
+def _models(folder: Path) -> Target:
+    path = folder / "model.safetensors"
+    jaxfit.save(_small_model(folder), path)
+    seeds = [path.read_bytes()]
+
+    def attempt(data: bytes) -> str:
+        path.write_bytes(data)
+        jaxfit.load(path)
+        return _READ
+
+    return Target(seeds, attempt)
+
+
+def _heads(folder: Path) -> Target:
+    path = folder / "head.safetensors"
+    save_head(load_head(), path)
+
+    def attempt(data: bytes) -> str:
+        path.write_bytes(data)
+        load_head(path).of(IBUG68, 0.5)
+        return _READ
+
+    return Target([path.read_bytes()], attempt)
+
+
+def _configs(folder: Path) -> Target:
+    path = folder / "config.toml"
+    text = (
+        "folds = 2\naugmentations = [1, 5]\n[chosen]\naugmentations = 5\n[training]\nwindows = [0.4, 0.3]\n"
+        '[datasets.f]\ndata = ["pts:f"]\n[methods.sdm]\n'
+    )
+
+    def attempt(data: bytes) -> str:
+        path.write_bytes(data)
+        read_config(path)
+        return _READ
+
+    return Target([text.encode()], attempt)
+
+
+def _videos(folder: Path) -> Target:
+    path = folder / "film.mp4"
+    with write_video(path, 25.0) as write:
+        for _ in range(5):
+            write(_picture())
+
+    def attempt(data: bytes) -> str:
+        path.write_bytes(data)
+        with Video(path) as video:
+            for _ in video:
+                pass
+            return _PART if video.problem else _READ
+
+    return Target([path.read_bytes()], attempt)
+
+
+def _page(folder: Path) -> Target:
+    """Requests to the page's server; it has to go on answering."""
+    server = Server(Service({"small": _small_model(folder)}, {"whole": Whole()}), seconds=1.0)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+
+    def request(body: bytes, kind: str) -> bytes:
+        lines = (
+            "POST /fit?model=small&detector=whole HTTP/1.1",
+            f"Host: 127.0.0.1:{server.port}",
+            f"Content-Type: image/{kind}",
+            f"Content-Length: {len(body)}",
+            "X-Jaxfit: 1",
+            "Connection: close",
+        )
+        return "\r\n".join(lines).encode() + b"\r\n\r\n" + body
+
+    def answer(data: bytes) -> bytes:
+        with socket.create_connection(("127.0.0.1", server.port), timeout=_LIMIT) as client:
+            try:
+                client.sendall(data)
+                client.shutdown(socket.SHUT_WR)
+                return client.recv(1 << 16)
+            except OSError:  # refused while it was sending
+                return b""
+
+    pictures = {kind: cv2.imencode(f".{kind}", _picture())[1].tobytes() for kind in ("png", "jpeg", "webp", "bmp")}
+    whole = [request(picture, kind) for kind, picture in pictures.items()]
+    bodies = list(pictures.values())
+
+    def attempt(data: bytes) -> str:
+        # Half of the inputs are mangled requests, the others proper ones of mangled pictures.
+        if (data not in whole and data[:4] != b"POST") or data in bodies:
+            data = request(data, "png")
+        status = answer(data)[9:12]
+        if status.startswith(b"5") and status not in (b"501", b"503", b"505"):
+            raise RuntimeError(f"status {status!r}")
+        if answer(whole[0])[9:12] != b"200":
+            raise RuntimeError(f"no answer to a good request any more, after {status!r}")
+        return _READ if status == b"200" else _REFUSED
+
+    return Target([*whole, *bodies], attempt)
+
+
+TARGETS: dict[str, Callable[[Path], Target]] = {
+    "images": _images,
+    "pts": _pts,
+    "aflw": _aflw,
+    "lfpw": _lfpw,
+    "pointing04": _pointing04,
+    "aflw2000": _aflw2000,
+    "boxes": _boxes,
+    "models": _models,
+    "heads": _heads,
+    "configs": _configs,
+    "videos": _videos,
+    "page": _page,
+}
+
+if __name__ == "__main__":
+    sys.exit(main())
