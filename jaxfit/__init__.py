@@ -15,13 +15,15 @@ from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
+from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.videos import Video
 from jaxfit.detecting import Found, find_faces
 from jaxfit.evaluating import evaluate
+from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
 from jaxfit.exporting import Exported, export_model, load_exported
 from jaxfit.fitting import Fits, fit, warm_up
-from jaxfit.lifting import Lifted, lift_labels
+from jaxfit.lifting import Lifted, fill_labels, lift_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
@@ -57,8 +59,11 @@ __all__ = [
     "convert_dataset",
     "crop_faces",
     "detect_faces",
+    "draw_head",
+    "draw_landmarks",
     "evaluate",
     "export_model",
+    "fill_labels",
     "find_faces",
     "fit",
     "fit_crops",
@@ -73,6 +78,7 @@ __all__ = [
     "read_image",
     "save",
     "save_head",
+    "split_by_subject",
     "track",
     "train",
     "try_fits",
