@@ -35,9 +35,9 @@ GROUPS = {
     "Export": ("export_model", "load_exported", "Exported"),
     "Errors": ("JaxfitError", "InputError", "ImageError", "DatasetError", "ModelError"),
 }
-_ABOUT = """Made from the docstrings by `python scripts/build_api.py`. `N` counts faces, `L` landmarks, `H` and `W` the rows
-and columns of a picture. Pixels have their centres at whole numbers, x to the right and y down; boxes are x, y, width and
-height; angles are roll, pitch and yaw in degrees."""
+_ABOUT = """Made from the docstrings by `python scripts/build_api.py`. `N` counts faces, `L` landmarks, `H` and `W` the
+rows and columns of a picture. Pixels have their centres at whole numbers, x to the right and y down; boxes are x, y,
+width and height; angles are roll, pitch and yaw in degrees."""
 _SECTIONS = ("Args", "Attributes", "Returns", "Yields", "Raises")
 _WIDTH = 100  # of a signature, from which each parameter has a line
 
