@@ -91,6 +91,8 @@ def run(options: argparse.Namespace) -> int:
     pictures = find_images(options.pictures, options.recursive)
     detector = _detector(options, model)
     folder = out_folder(options.out)
+    # Overlays of a run before this one are no pictures to fit.
+    pictures = [picture for picture in pictures if folder.absolute() not in picture.absolute().parents]
     unfinished = folder / _UNFINISHED
     if options.overwrite:
         shutil.rmtree(unfinished, ignore_errors=True)

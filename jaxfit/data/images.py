@@ -218,7 +218,9 @@ def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
         pictures += (
             path
             for name in sorted(files)
-            if name.lower().endswith(wanted) and not name.startswith(".") and (path := Path(place, name)).is_file()
+            if name.lower().endswith(wanted)
+            and not name.startswith(".")
+            and ((path := Path(place, name)).is_file() or path.is_symlink())  # links to nothing are reported
         )
     if not pictures:
         raise InputError(f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}")

@@ -68,12 +68,13 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
     """A file to write to that becomes ``path`` when the block ends, and vanishes when the block raises.
 
-    Text (``mode="w"``) is UTF-8 and newlines are written as they are given.
+    Text (``mode="w"``) is UTF-8 and newlines are written as they are given; names of files that are not UTF-8 are
+    written as the bytes that they are.
 
     Raises:
         InputError: as :func:`atomic_path`.
     """
-    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
+    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": "", "errors": "surrogateescape"}
     # Plain open() instead of tempfile, whose files nobody else may read.
     with (
         atomic_path(path) as temporary,

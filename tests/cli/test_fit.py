@@ -153,6 +153,14 @@ def test_folders_within_folders_patterns_and_videos(command, many: Path, tmp_pat
     for pictures, count in counts.items():
         main(["fit", *pictures, *command[2:], "--no-overlays"])
         assert f"pictures: {count}, " in capsys.readouterr().out, pictures
+    # What stands in the folder of results is left alone; a link to nothing is a problem, not nothing.
+    (many / "lost.png").symlink_to(many / "nowhere.png")
+    inside = ["fit", str(many), "--recursive", *command[2:-1], str(many / "results"), "--contact-sheet"]
+    for _ in range(2):
+        assert main(inside) == 0
+        said = capsys.readouterr()
+        assert "pictures: 14, " in said.out
+        assert "lost.png" in said.err
     (many / "film.MP4").write_bytes(b"")
     assert main(["fit", "many/film.MP4", *command[2:]]) == 2
     assert "jaxfit track" in capsys.readouterr().err
@@ -177,3 +185,22 @@ def test_all_faces_of_a_picture_are_fitted(drawn: Path, model: Path, tmp_path: P
     told = json.loads((out / "keypoints.json").read_text())
     assert len(told["images"]) == 1
     assert told["images"][0]["width"] == one.shape[1] + other.shape[1]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
+def test_names_that_are_no_text(drawn: Path, model: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    folder = os.fsencode(tmp_path / "odd")
+    os.mkdir(folder)
+    source = drawn / "face000.png"
+    for name in (b"\xe9t\xe9.png", b"\xff.png"):
+        with open(os.path.join(folder, name), "wb") as file:
+            file.write(source.read_bytes() if name != b"\xff.png" else b"")
+    square = ",".join(map(str, bounding_square(read_pts(source.with_suffix(".pts")))))
+    (tmp_path / "boxes.csv").write_bytes(
+        b"image,x,y,width,height\n" + b"".join(b"%s,%s\n" % (n, square.encode()) for n in (b"a.png",))
+    )
+    out = tmp_path / "out"
+    fit = ["fit", str(tmp_path / "odd"), "--model", str(model), "--out", str(out), "--format"]
+    assert main([*fit, "csv", "jsonl", "coco", "parquet", "--boxes", str(tmp_path / "boxes.csv")]) == 1
+    assert b"\xe9t\xe9.png" in (out / "problems.csv").read_bytes()

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,6 +119,16 @@ def test_pts_files_are_read_back(tmp_path: Path) -> None:
     for wanted in PLAIN:
         found = read_pts(tmp_path / "pts" / f"{wanted.face}.pts")
         np.testing.assert_allclose(found.ravel(), wanted.landmarks, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_names_of_files_may_be_no_text(name: str, tmp_path: Path) -> None:
+    if name == "parquet":
+        pytest.importorskip("pyarrow")
+    odd = os.fsdecode(b"\xe9t\xe9")
+    assert WRITERS[name](tmp_path, results([replace(PLAIN[0], image=f"{odd}.jpg", face=odd)]))
+    if name == "csv":
+        assert b"\xe9t\xe9.jpg" in (tmp_path / "landmarks.csv").read_bytes()
 
 
 @pytest.mark.parametrize("name", WRITERS)

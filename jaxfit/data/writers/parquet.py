@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from jaxfit.data.outputs import atomic_path
 from jaxfit.data.writers.tables import TEXTS, Table, tables_of
@@ -29,7 +30,7 @@ def write_parquet(folder: Path, results: Results) -> list[str]:
         schema = pa.schema(types)
         with atomic_path(folder / names[-1]) as path, pq.ParquetWriter(path, schema) as writer:
             for columns in _columns(table, results):
-                arrays = [pa.array(column, type_) for column, (_, type_) in zip(columns, types, strict=True)]
+                arrays = [_array(column, type_) for column, (_, type_) in zip(columns, types, strict=True)]
                 writer.write_batch(pa.record_batch(arrays, schema=schema))
     return names
 
@@ -44,6 +45,14 @@ def require_pyarrow() -> None:
         import pyarrow  # noqa: F401
     except ImportError:
         raise InputError('Parquet needs pyarrow, which is not installed: pip install "jaxfit[parquet]"') from None
+
+
+def _array(values: tuple[str | float | None, ...], type_: Any) -> Any:
+    """A column; what is not UTF-8 in names of files becomes question marks."""
+    import pyarrow as pa
+
+    plain = [value.encode("utf-8", "replace").decode() if isinstance(value, str) else value for value in values]
+    return pa.array(plain, type_)
 
 
 def _columns(table: Table, results: Results) -> Iterator[list[tuple[str | float | None, ...]]]:
