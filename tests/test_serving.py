@@ -415,6 +415,8 @@ def command(*arguments: str) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # Shells have their background jobs, and all that these start, ignore Ctrl-C.
+        preexec_fn=None if os.name == "nt" else lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
@@ -430,7 +432,10 @@ def test_the_command_serves_until_it_is_stopped() -> None:
         assert [model["name"] for model in json.load(connection.getresponse())["models"]] == ["fast68"]
         connection.close()
         running.send_signal(signal.SIGINT)
-        out, err = running.communicate(timeout=WAIT)
+        try:
+            out, err = running.communicate(timeout=WAIT)
+        finally:
+            running.kill()
     assert (running.returncode, out.split(), err) == (0, ["stopped"], "")
 
 
