@@ -409,14 +409,19 @@ def test_wrong_arguments(server: Server) -> None:
         Service({}, {"haar": detector_named("haar")})
 
 
+# Shells have their background jobs, and all that these start, ignore Ctrl-C.
+HEARS_CTRL_C = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from jaxfit.cli.main import main; sys.exit(main())"
+)
+
+
 def command(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "jaxfit.cli.main", "serve", "--no-browser", *arguments],
+        [sys.executable, "-c", HEARS_CTRL_C, "serve", "--no-browser", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        # Shells have their background jobs, and all that these start, ignore Ctrl-C.
-        preexec_fn=None if os.name == "nt" else lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
