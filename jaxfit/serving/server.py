@@ -201,8 +201,8 @@ class _Handler(BaseHTTPRequestHandler):
         except (ConnectionError, TimeoutError):  # nobody listens any more
             raise
         except Exception:
+            self.server.handle_error(self.request, self.client_address)
             self.send_error(HTTPStatus.INTERNAL_SERVER_ERROR, "something is wrong with jaxfit; its terminal says more")
-            raise
 
     def _options(self) -> dict[str, Any]:
         return self.server.service.options() | {"types": TYPES, "most_bytes": MOST_BYTES}
