@@ -115,12 +115,12 @@ def fill_labels(faces: Sequence[FaceRecord], scheme: Scheme, head: HeadModel) ->
         InputError: the head model lacks the scheme.
     """
     lifted = lift_labels([face for face in faces if not face.complete], scheme, scheme, head)
-    filled = {face.face: face for face in lifted.faces}
+    filled = {(face.image, face.face): face for face in lifted.faces}
     whole = []
     for face in faces:
         if face.complete:
             whole.append(face)
-        elif other := filled.get(face.face):
+        elif other := filled.get((face.image, face.face)):
             whole.append(replace(other, landmarks=np.where(face.present[:, None], face.landmarks, other.landmarks)))
     return Lifted(tuple(whole), lifted.problems)
 

@@ -206,7 +206,7 @@ def train(
         raise InputError(f"expected a method among {', '.join(METHODS)}; got {method!r}")
     if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
         raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
-    complete, problems = _usable(faces, scheme)
+    complete, problems = usable_faces(faces, scheme)
     if scheme.count == 0:
         raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
     if len(complete) < 2:
@@ -222,31 +222,22 @@ def train(
     jittered = np.stack([jitter(square, rng) for square in squares])
     placement = measure_placement(jittered, landmarks, mean, frame.face)
 
-    crops = Crops.empty(len(complete), frame)
     detected, every = _Detected(), max(1, len(complete) // _DETECTED_FACES)
-    usable = []
-    for number, face in enumerate(complete):
-        progress("reading pictures", number, len(complete))
-        try:
-            grey = read(face.image)
-        except ImageError as error:
-            problems.append(str(error))
-            continue
-        usable.append(number)
-        cut(grey, *placement.face_in(squares[number]), crops, number)
+
+    def look(number: int, grey: np.ndarray) -> None:
         if options.haar and number % every == 0:
             detected.look(number, grey, squares[number])
-    progress("reading pictures", len(complete), len(complete))
-    if len(usable) < 2:
-        raise InputError(f"expected at least two readable pictures; got {len(usable)}: {'; '.join(problems[:3])}")
 
-    rows = np.array(usable)
+    crops, rows, unread = cut_faces(complete, squares, placement, frame, read, progress, look)
+    problems += unread
+    if len(rows) < 2:
+        raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
     space = METHODS[method].learn_space(relative[rows], scheme, options, frame.face)
     cascade = train_cascade(
         space,
         descriptor,
         frame,
-        _training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
+        training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
         _scaled(placement.spread, options.spread),
         windows=options.windows,
         augmentations=options.augmentations,
@@ -260,8 +251,8 @@ def train(
     head = solid if METHODS[method].aligns else None
     placements = {SQUARE: placement, **detected.placements(landmarks, mean, frame.face)}
     return Trained(
-        Model(cascade, scheme, placements, _summary(method, options, len(usable)), head),
-        len(usable),
+        Model(cascade, scheme, placements, _summary(method, options, len(rows)), head),
+        len(rows),
         tuple(problems),
     )
 
@@ -287,7 +278,7 @@ def _turn(options: Options) -> float:
     return 0.0 if options.initialisations == 1 else min(float(np.radians(_REACH * (high - low))), np.pi)
 
 
-def _usable(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
+def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
     """The faces to learn from, and what is wrong with the others."""
     complete = [face for face in faces if face.complete]
     problems = []
@@ -304,6 +295,50 @@ def _on_a_line(points: np.ndarray) -> bool:
     """Whether points (L, 2) lie on a line or in one point: they are no face, and tell no pose."""
     across, along = np.linalg.eigvalsh(np.cov(points.T))
     return bool(across <= _FLAT**2 * along)
+
+
+def cut_faces(
+    faces: Sequence[FaceRecord],
+    squares: np.ndarray,
+    placement: Placement,
+    frame: Frame,
+    read: Callable[[Path], np.ndarray],
+    progress: Progress,
+    look: Callable[[int, np.ndarray], None] = lambda number, grey: None,
+) -> tuple[Crops, np.ndarray, list[str]]:
+    """The crops of faces in squares (N, 4), which of them could be read (M,), and why others could not.
+
+    ``look`` is shown the number and the grey picture of each face.
+    """
+    crops = Crops.empty(len(faces), frame)
+    rows, problems = [], []
+    for number, face in enumerate(faces):
+        progress("reading pictures", number, len(faces))
+        try:
+            grey = read(face.image)
+        except ImageError as error:
+            problems.append(str(error))
+            continue
+        rows.append(number)
+        cut(grey, *placement.face_in(squares[number]), crops, number)
+        look(number, grey)
+    progress("reading pictures", len(faces), len(faces))
+    return crops, np.array(rows, int), problems
+
+
+def training_set(
+    crops: Crops, landmarks: np.ndarray, squares: np.ndarray, rows: np.ndarray, mirror: Scheme | None
+) -> TrainingSet:
+    """The faces in crop pixels; with ``mirror``, each a second time, flipped."""
+    points = crops.from_images(landmarks[rows], rows)
+    pivots = crops.from_images(np.stack([box_centre(square) for square in squares[rows]])[:, None], rows)[:, 0]
+    flips = np.zeros(len(rows), bool)
+    if mirror is not None:
+        width = crops.pixels.shape[2]
+        points, rows = np.concatenate([points, mirrored(points, width, mirror)]), np.concatenate([rows, rows])
+        pivots = np.concatenate([pivots, [width - 1, 0] + pivots * [-1, 1]])
+        flips = np.concatenate([flips, ~flips])
+    return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows, pivots.astype(np.float32))
 
 
 class _Detected:
@@ -324,21 +359,6 @@ class _Detected:
             for kind, found in sorted(self._found.items())
             if len(found) >= _FEWEST_DETECTED
         }
-
-
-def _training_set(
-    crops: Crops, landmarks: np.ndarray, squares: np.ndarray, rows: np.ndarray, mirror: Scheme | None
-) -> TrainingSet:
-    """The faces in crop pixels; with ``mirror``, each a second time, flipped."""
-    points = crops.from_images(landmarks[rows], rows)
-    pivots = crops.from_images(np.stack([box_centre(square) for square in squares[rows]])[:, None], rows)[:, 0]
-    flips = np.zeros(len(rows), bool)
-    if mirror is not None:
-        width = crops.pixels.shape[2]
-        points, rows = np.concatenate([points, mirrored(points, width, mirror)]), np.concatenate([rows, rows])
-        pivots = np.concatenate([pivots, [width - 1, 0] + pivots * [-1, 1]])
-        flips = np.concatenate([flips, ~flips])
-    return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows, pivots.astype(np.float32))
 
 
 def _scaled(spread: Spread, factor: float) -> Spread:

@@ -98,7 +98,7 @@ def _targets(descriptor: Descriptor, space: ShapeSpace, landmarks: Float[Array, 
 
 
 @partial(jax.jit, static_argnames=("descriptor", "count", "frame"))
-def _draw(
+def draw_states(
     descriptor: Descriptor,
     space: ShapeSpace,
     keys: Array,
@@ -262,7 +262,10 @@ def train_cascade(
 
     for rows, _ in batches("drawing starts"):
         pivots = jnp.asarray(faces.pivots[rows])
-        put(rows, _draw(descriptor, space, keys[rows], pivots, augmentations, frame, spread.sigmas, jnp.float32(turn)))
+        put(
+            rows,
+            draw_states(descriptor, space, keys[rows], pivots, augmentations, frame, spread.sigmas, jnp.float32(turn)),
+        )
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
         window = jnp.float32(share * frame.face)

@@ -1,6 +1,7 @@
 """Arguments that several commands share, and how their values are read."""
 
 import argparse
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -16,11 +17,19 @@ from jaxfit.data.records import Dataset
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
 from jaxfit.exceptions import InputError
+from jaxfit.models.files import SUFFIX
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import SCHEMES, Scheme, scheme_named
 from jaxfit.training import METHODS, Options, default_descriptor, seen
 
 _DEFAULT = Options()
+
+
+class DefaultsInHelp(argparse.ArgumentDefaultsHelpFormatter):
+    """Help that says the defaults of options that have one."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        return action.help if action.default is None else super()._get_help_string(action)
 
 
 def add_datasets(command: argparse.ArgumentParser) -> None:
@@ -169,6 +178,43 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--crop", type=int, help="side of the crops, in pixels; unless given it suits the descriptor")
     command.add_argument("--face", type=float, help="side of the face in them, in pixels; unless given, likewise")
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
+
+
+def add_confidence(command: argparse.ArgumentParser) -> None:
+    """``--confidence [FOLDS]``."""
+    command.add_argument(
+        "--confidence",
+        type=int,
+        nargs="?",
+        const=3,
+        metavar="FOLDS",
+        help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
+        "the faces: 3 unless told, which takes four times as long",
+    )
+
+
+def require_folds(confidence: int | None) -> None:
+    """Refuse ``--confidence`` with too few folds, before the work.
+
+    Raises:
+        InputError: there is one.
+    """
+    if confidence is not None and confidence < 2:
+        raise InputError(f"--confidence: expected 2 folds or more; got {confidence}")
+
+
+def model_target(out: str) -> Path:
+    """The ``--out`` of a command that makes a model: refused, before an hour of work, if it could not be written.
+
+    Raises:
+        InputError: it does not end as model files do, or cannot be written to.
+    """
+    path = Path(out)
+    if path.suffix != SUFFIX or path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise InputError(
+            f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {path}"
+        )
+    return path
 
 
 def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:

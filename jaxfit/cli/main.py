@@ -9,10 +9,10 @@ from pathlib import Path
 import jax
 
 import jaxfit
-from jaxfit.cli import evaluate, experiments, export, fit, models, serve, track, train
+from jaxfit.cli import evaluate, experiments, export, finetune, fit, models, serve, track, train
 from jaxfit.exceptions import JaxfitError
 
-_COMMANDS = (fit, track, serve, models, train, evaluate, export, experiments)
+_COMMANDS = (fit, track, serve, models, train, finetune, evaluate, export, experiments)
 
 
 def parser() -> argparse.ArgumentParser:

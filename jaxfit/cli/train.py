@@ -1,25 +1,22 @@
 """``jaxfit train``: learn a model from labelled faces."""
 
 import argparse
-import os
-from pathlib import Path
 
-from jaxfit.cli.arguments import add_training, training_options
+from jaxfit.cli.arguments import (
+    DefaultsInHelp,
+    add_confidence,
+    add_training,
+    model_target,
+    require_folds,
+    training_options,
+)
 from jaxfit.cli.labelled_faces import add_faces, read_faces
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.images import GreyPictures, read_grey
-from jaxfit.exceptions import InputError
 from jaxfit.models.files import SUFFIX, save
 from jaxfit.models.heads import load_head
 from jaxfit.training import METHODS, train
 from jaxfit.trusting import learn_confidence
-
-
-class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Says the defaults of options that have one."""
-
-    def _get_help_string(self, action: argparse.Action) -> str | None:
-        return action.help if action.default is None else super()._get_help_string(action)
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -28,34 +25,20 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "train",
         help="learn a model from labelled faces",
         description="Learn a model from labelled faces. Faces with missing landmarks are left out and counted.",
-        formatter_class=_Defaults,
+        formatter_class=DefaultsInHelp,
     )
     add_faces(command)
     command.add_argument("--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write")
     command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
-    command.add_argument(
-        "--confidence",
-        type=int,
-        nargs="?",
-        const=3,
-        metavar="FOLDS",
-        help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
-        "the faces: 3 unless told, which takes four times as long",
-    )
+    add_confidence(command)
     add_training(command)
     command.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Train and save."""
-    out = Path(options.out)
-    if out.suffix != SUFFIX or out.is_dir() or not os.access(out.parent, os.W_OK):
-        # Better before an hour of training than after it.
-        raise InputError(
-            f"--out: expected a file name ending in {SUFFIX} in a folder that can be written to; got {out}"
-        )
-    if options.confidence is not None and options.confidence < 2:
-        raise InputError(f"--confidence: expected 2 folds or more; got {options.confidence}")
+    out = model_target(options.out)
+    require_folds(options.confidence)
     found = read_faces(options)
     read = GreyPictures() if options.confidence else read_grey
     with Bars() as bars:

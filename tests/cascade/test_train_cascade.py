@@ -67,7 +67,7 @@ def test_learns(descriptor, windows):
 def test_the_first_step_is_ridge_regression_on_the_dense_matrix(monkeypatch):
     landmarks = np.repeat(LANDMARKS[:, None], 4, 1)
     starts = landmarks + np.random.default_rng(0).normal(0, 2, landmarks.shape).astype(np.float32)
-    monkeypatch.setattr(train, "_draw", lambda *_: State(starts.reshape(COUNT, 4, -1), np.zeros((COUNT, 4))))
+    monkeypatch.setattr(train, "draw_states", lambda *_: State(starts.reshape(COUNT, 4, -1), np.zeros((COUNT, 4))))
     cascade = trained(ridge=0.3)
 
     sizes = np.sqrt(((starts - starts.mean(2, keepdims=True)) ** 2).sum((2, 3)) / (MEAN**2).sum())

@@ -1,0 +1,107 @@
+"""``jaxfit finetune``: tune all steps of a trained model together."""
+
+import argparse
+from dataclasses import fields
+from typing import get_type_hints
+
+import numpy as np
+
+from jaxfit.cascade.finetune import Tuning
+from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, model_target, require_folds, seed
+from jaxfit.cli.labelled_faces import add_faces, read_faces
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.images import GreyPictures
+from jaxfit.exceptions import InputError
+from jaxfit.finetuning import finetune
+from jaxfit.image.disturb import Disturbance
+from jaxfit.models.files import load, save
+from jaxfit.trusting import learn_confidence
+
+_HELP = {
+    "epochs": "how often each face is seen",
+    "rate": "of learning, at its highest",
+    "batch": "faces a step of the optimiser",
+    "decay": "of the weights, relative to the rate",
+    "dropped": "share of the landmarks that each step does not see",
+    "spread": "factor on the spread of the starts",
+    "rotation": "standard deviation, in radians, of how far pictures are turned",
+    "log_scale": "standard deviation of the logarithm of how much pictures are scaled",
+    "shear": "standard deviation of how much pictures are sheared",
+    "blur": "share of the pictures that are blurred",
+    "noise": "grey values of noise in pictures",
+    "hidden": "share of the pictures of which a part is hidden",
+}
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "finetune",
+        help="tune all steps of a trained model together",
+        description="Tune all steps of a trained model together, by stochastic gradients of the error that they leave. "
+        "Killed, it goes on where it was when it is run again.",
+        formatter_class=DefaultsInHelp,
+    )
+    command.add_argument("model", help="a model file, or a bundled model's name")
+    add_faces(command)
+    command.add_argument("--out", required=True, metavar="MODEL.safetensors", help="the model file to write")
+    command.add_argument(
+        "--validation",
+        type=float,
+        default=0.1,
+        metavar="SHARE",
+        help="of the people, kept aside to choose the best epoch by; 0 takes the last one",
+    )
+    command.add_argument("--no-mirror", action="store_true", help="do not learn from mirrored pictures too")
+    for kind in (Tuning, Disturbance):
+        types = get_type_hints(kind)
+        for option in fields(kind):
+            if option.name in _HELP:
+                command.add_argument(
+                    f"--{option.name.replace('_', '-')}",
+                    type=types[option.name],
+                    default=option.default,
+                    metavar="N",
+                    help=_HELP[option.name],
+                )
+    command.add_argument("--seed", type=seed, default=Tuning.seed, help="of all that is random")
+    add_confidence(command)
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fine-tune and save."""
+    out = model_target(options.out)
+    require_folds(options.confidence)
+    model = load(options.model)
+    disturbance = Disturbance(**{option.name: getattr(options, option.name) for option in fields(Disturbance)})
+    of_tuning = {option.name: getattr(options, option.name) for option in fields(Tuning) if option.name in _HELP}
+    tuning = Tuning(**of_tuning, seed=options.seed, disturbance=disturbance)
+    found = read_faces(options)
+    if found.scheme != model.scheme:
+        raise InputError(f"{options.model} has the landmarks {model.scheme.name}; --data has {found.scheme.name}")
+    checkpoint = out.with_name(f"{out.stem}.unfinished")
+    read = GreyPictures()
+    with Bars() as bars:
+        tuned = finetune(
+            model,
+            found.faces,
+            tuning=tuning,
+            validation=options.validation,
+            mirror=not options.no_mirror,
+            checkpoint=checkpoint,
+            progress=bars,
+            read=read,
+        )
+        model = tuned.model
+        if options.confidence:
+            model = learn_confidence(model, found.faces, folds=options.confidence, read=read, progress=bars)
+    save(model, out)
+    checkpoint.unlink(missing_ok=True)
+    report_problems([*found.problems, *tuned.problems])
+    print(f"{out}: fine-tuned on {tuned.faces} faces, {out.stat().st_size / 2**20:.1f} MiB")
+    if options.validation:
+        best = int(np.nanargmin(tuned.errors))
+        before, after = tuned.errors[[0, best]]
+        print(f"people kept aside: mean error {after:.4f} of the face's side after epoch {best}, {before:.4f} before")
+    return 0
