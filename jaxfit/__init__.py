@@ -10,6 +10,7 @@
 __version__ = "0.1.0.dev0"
 
 from jaxfit.calibrating import calibrate_boxes
+from jaxfit.cascade.finetune import Tuning
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
 from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
@@ -22,7 +23,9 @@ from jaxfit.evaluating import evaluate
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
 from jaxfit.exporting import Exported, export_model, load_exported
+from jaxfit.finetuning import Finetuned, finetune
 from jaxfit.fitting import Fits, fit, warm_up
+from jaxfit.image.disturb import Disturbance
 from jaxfit.lifting import Lifted, fill_labels, lift_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
@@ -34,7 +37,9 @@ from jaxfit.trusting import Trials, learn_confidence, try_fits
 
 __all__ = [
     "DatasetError",
+    "Disturbance",
     "Exported",
+    "Finetuned",
     "Fits",
     "Found",
     "HeadModel",
@@ -52,6 +57,7 @@ __all__ = [
     "Tracker",
     "Trained",
     "Trials",
+    "Tuning",
     "Video",
     "bundled",
     "bundled_heads",
@@ -65,6 +71,7 @@ __all__ = [
     "export_model",
     "fill_labels",
     "find_faces",
+    "finetune",
     "fit",
     "fit_crops",
     "fit_face",

@@ -17,13 +17,13 @@ from jax import lax, random, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from jaxfit.cascade.fit import State, advanced, features_of, landmarks_of
+from jaxfit.cascade.fit import State, advanced, landmarks_of
 from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.train import Progress, Spread, TrainingSet, draw_states
 from jaxfit.exceptions import InputError
 from jaxfit.image.disturb import Disturbance, draw_warp, spoiled
 from jaxfit.shapes.camera_asm import CameraASM
-from jaxfit.types import Crop, Landmarks, Picture, Scalar
+from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Scalar
 
 # Of the canonical face's side: below it the loss grows with the square of the error, above it with the error.
 _BEND = 0.02
@@ -40,9 +40,9 @@ class Tuning:
 
     Attributes:
         epochs: how often each face is seen, each time from another start and in another disturbance.
-        rate: of learning (AdamW), at its highest; it falls to nothing along half a cosine.
+        rate: of learning (Adam), at its highest, relative to the size of what is tuned; it falls to nothing along half
+            a cosine.
         batch: faces a step of the optimiser.
-        decay: of the weights, at each step of the optimiser, relative to the rate (AdamW's).
         dropped: share of the landmarks that a step does not see, lest it relies on few.
         spread: factor on the spread of the starts.
         disturbance: of the pictures.
@@ -53,22 +53,21 @@ class Tuning:
     """
 
     epochs: int = 40
-    rate: float = 2e-3
+    rate: float = 0.05
     batch: int = 64
-    decay: float = 0.0
     dropped: float = 0.1
     spread: float = 1.0
     disturbance: Disturbance = field(default_factory=Disturbance)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        numbers = (self.rate, self.decay, self.dropped, self.spread)
-        possible = all(map(isfinite, numbers)) and min(self.decay, self.dropped, self.spread, self.seed) >= 0
+        possible = all(map(isfinite, (self.rate, self.dropped, self.spread)))
+        possible = possible and min(self.dropped, self.spread, self.seed) >= 0
         if not (possible and self.rate > 0 and self.dropped < 1 and min(self.epochs, self.batch) >= 1):
             raise InputError(
-                "expected epochs and batch >= 1, rate > 0, 0 <= dropped < 1, and decay, spread and seed >= 0; got "
-                f"epochs {self.epochs}, batch {self.batch}, rate {self.rate}, dropped {self.dropped}, decay "
-                f"{self.decay}, spread {self.spread}, seed {self.seed}"
+                "expected epochs and batch >= 1, rate > 0, 0 <= dropped < 1, and spread and seed >= 0; got "
+                f"epochs {self.epochs}, batch {self.batch}, rate {self.rate}, dropped {self.dropped}, spread "
+                f"{self.spread}, seed {self.seed}"
             )
 
 
@@ -140,7 +139,8 @@ def finetune_cascade(
     state = resume(Progressed(learned, optimiser.init(learned), learned, jnp.asarray([checked(learned)])))
     done = len(state.errors) - 1
     for epoch in range(done, tuning.epochs):
-        learned, of_optimiser = state.learned, state.optimiser
+        # Both are overwritten in place.
+        learned, of_optimiser = jax.tree.map(jnp.copy, (state.learned, state.optimiser))
         of_epoch = random.fold_in(random.key(tuning.seed), epoch)
         order = np.asarray(random.permutation(of_epoch, count))
         for number in range(batches):
@@ -153,6 +153,7 @@ def finetune_cascade(
                 _batch_of(faces, depths, rows),
                 random.fold_in(of_epoch, number),
                 spread.sigmas * tuning.spread,
+                _levels(cascade),
                 tuning,
                 batches,
             )
@@ -187,14 +188,36 @@ def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray) -> _Batc
 def _optimiser(tuning: Tuning, batches: int) -> optax.GradientTransformation:
     steps = tuning.epochs * batches
     rate = optax.warmup_cosine_decay_schedule(0.0, tuning.rate, max(1, round(_WARM_UP * steps)), max(2, steps))
-    return optax.chain(optax.clip_by_global_norm(_CLIP), optax.adamw(rate, weight_decay=tuning.decay))
+    return optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate))
 
 
-def _loss(cascade: Cascade, batch: _Batch, states: State, key: Array, dropped: float) -> Scalar:
+def _sizes(cascade: Cascade) -> Learned:
+    """How large what is tuned is at first, by columns, as parameters, such as pixels and radians, differ in size."""
+
+    def size(values: Array, axis: int) -> Array:
+        return jnp.sqrt(jnp.mean(values**2, axis, keepdims=True))
+
+    directions = cascade.directions
+    landmarks = cascade.weights[0].shape[0] // cascade.descriptor.size
+    columns = [
+        weights if directions is None else jnp.matmul(weights, directions[step])
+        for step, weights in enumerate(cascade.weights)
+    ]
+    return Learned(
+        tuple(size(weights, 0) for weights in cascade.weights),
+        # What a step comes to, as a landmark's features have length 1.
+        jnp.sqrt(landmarks) * jnp.concatenate([size(each, 0) for each in columns]),
+        None if directions is None else size(directions, 1),
+    )
+
+
+def _loss(
+    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, key: Array, dropped: float
+) -> Scalar:
     """The mean loss of a batch, with some landmarks hidden from each step."""
     keys = random.split(key, len(cascade.weights))
     seen = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
-    distances = _distances_of_steps(cascade, batch, states, seen)
+    distances = _distances_of_steps(cascade, levels, batch, states, seen)
     shares = _EARLIER ** jnp.arange(len(distances))[::-1]
     return (
         jnp.sum(shares * jnp.stack([_mean_known(optax.losses.huber_loss(e, delta=_BEND)) for e in distances])) / _BEND
@@ -212,19 +235,42 @@ def _without_some(keys: Array, dropped: float, landmarks: int, step: int, featur
     return (of_landmarks * kept).reshape(features.shape)
 
 
+def _features(
+    cascade: Cascade, prepared: Any, states: State, step: int, level: int
+) -> Float[Array, "faces starts features"]:
+    """What `features_of` gives, of one start a face, for gradients."""
+    descriptor, space = cascade.descriptor, cascade.space
+
+    # Looking again is several times faster than keeping what all faces' landmarks have seen.
+    @jax.checkpoint
+    def of_face(face: tuple[Any, State]) -> Float[Array, "landmarks features"]:
+        prepared, state = face
+        side = cascade.windows[step] * space.scale(state.params)
+
+        def of_point(point: Point) -> Features:
+            aim = descriptor.aim(prepared, level, point, side, state.angle)
+            return descriptor.normalise(descriptor.describe(prepared, level, aim, state.angle))
+
+        return vmap(of_point)(landmarks_of(space, state))
+
+    found = lax.map(of_face, (prepared, jax.tree.map(lambda part: part[:, 0], states)))
+    return found.reshape(len(found), 1, -1)
+
+
 def _distances_of_steps(
-    cascade: Cascade, batch: _Batch, states: State, seen: Callable[[int, Array], Array]
+    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, seen: Callable[[int, Array], Array]
 ) -> list[Float[Array, "faces landmarks"]]:
     """After each step, how far the landmarks are from the true ones, in sides of the canonical face; NaN if unknown.
 
-    ``states`` (faces, 1) are the starts; ``seen`` is what a step sees of its features.
+    ``levels`` are the descriptor's, one a step, ``states`` (faces, 1) the starts; ``seen`` is what a step sees of its
+    features.
     """
     descriptor, space = cascade.descriptor, cascade.space
     prepared = vmap(descriptor.prepare)(batch.crops)
     found = []
     # Not a scan over the steps: in each, the gradient would be that of all steps' weights.
     for step in range(len(cascade.weights)):
-        features = seen(step, features_of(descriptor, space, prepared, states, cascade.windows[step]))
+        features = seen(step, _features(cascade, prepared, states, step, levels[step]))
         directions = None if cascade.directions is None else cascade.directions[step]
         regressor = Regressor(cascade.weights[step], cascade.biases[step], directions)
         states = vmap(vmap(partial(advanced, descriptor, space)))(states, regressor.predict(features))
@@ -250,7 +296,7 @@ def _mean_known(values: Float[Array, "faces landmarks"]) -> Scalar:
     return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(), 1)
 
 
-@partial(jax.jit, static_argnames=("tuning", "batches"), donate_argnames=("learned", "of_optimiser"))
+@partial(jax.jit, static_argnames=("levels", "tuning", "batches"), donate_argnames=("learned", "of_optimiser"))
 def _updated(
     cascade: Cascade,
     learned: Learned,
@@ -258,6 +304,7 @@ def _updated(
     batch: _Batch,
     key: Array,
     sigmas: Float[Array, "4"],
+    levels: tuple[int, ...],
     tuning: Tuning,
     batches: int,
 ) -> tuple[Learned, Any]:
@@ -267,14 +314,20 @@ def _updated(
     states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, sigmas)
 
     def loss(learned: Learned) -> Scalar:
-        return _loss(_with(cascade, learned), batch, states, of_landmarks, tuning.dropped)
+        return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, tuning.dropped)
 
-    changes, of_optimiser = _optimiser(tuning, batches).update(jax.grad(loss)(learned), of_optimiser, learned)
+    changes, of_optimiser = _optimiser(tuning, batches).update(jax.grad(loss)(learned), of_optimiser)
+    changes = jax.tree.map(jnp.multiply, changes, _sizes(cascade))
     return optax.apply_updates(learned, changes), of_optimiser
 
 
 def _with(cascade: Cascade, learned: Learned) -> Cascade:
     return replace(cascade, weights=learned.weights, biases=learned.biases, directions=learned.directions)
+
+
+def _levels(cascade: Cascade) -> tuple[int, ...]:
+    """At which of its resolutions the descriptor looks at each step."""
+    return tuple(int(cascade.descriptor.level(window)) for window in cascade.windows)
 
 
 def _upright(batch: _Batch) -> _Batch:
@@ -306,12 +359,14 @@ def _starts(cascade: Cascade, keys: Array, pivots: Array, sigmas: Float[Array, "
     return draw_states(cascade.descriptor, cascade.space, keys, pivots, 1, cascade.frame, sigmas, jnp.float32(0.0))
 
 
-@jax.jit
-def _errors(cascade: Cascade, batch: _Batch, key: Array, sigmas: Float[Array, "4"]) -> Float[Array, "faces"]:
+@partial(jax.jit, static_argnames="levels")
+def _errors(
+    cascade: Cascade, batch: _Batch, key: Array, sigmas: Float[Array, "4"], levels: tuple[int, ...]
+) -> Float[Array, "faces"]:
     """The mean distance of each face's known landmarks from the true ones after the last step."""
     batch = _upright(batch)
     states = _starts(cascade, random.split(key, len(batch.crops)), batch.pivots, sigmas)
-    return jnp.nanmean(_distances_of_steps(cascade, batch, states, _everything)[-1], 1)
+    return jnp.nanmean(_distances_of_steps(cascade, levels, batch, states, _everything)[-1], 1)
 
 
 def _checked(
@@ -330,7 +385,8 @@ def _checked(
     for first in range(0, count, size):
         rows = np.resize(np.arange(first, min(first + size, count)), size)
         key = random.fold_in(random.key(tuning.seed), first)
-        found = _errors(_with(cascade, learned), _batch_of(faces, depths, rows), key, spread.sigmas)
+        batch = _batch_of(faces, depths, rows)
+        found = _errors(_with(cascade, learned), batch, key, spread.sigmas, _levels(cascade))
         errors.append(np.asarray(found)[: count - first])
     # A fit that is lost counts as a face's side: how far it went tells nothing.
     return float(np.mean(np.minimum(np.nan_to_num(np.concatenate(errors), nan=1.0), 1.0)))

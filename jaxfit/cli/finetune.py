@@ -19,9 +19,8 @@ from jaxfit.trusting import learn_confidence
 
 _HELP = {
     "epochs": "how often each face is seen",
-    "rate": "of learning, at its highest",
+    "rate": "of learning, at its highest, relative to the size of what is tuned",
     "batch": "faces a step of the optimiser",
-    "decay": "of the weights, relative to the rate",
     "dropped": "share of the landmarks that each step does not see",
     "spread": "factor on the spread of the starts",
     "rotation": "standard deviation, in radians, of how far pictures are turned",

@@ -1,9 +1,11 @@
 """Other pictures of the same face, to learn from: turned, scaled, sheared, blurred, noisy, or partly hidden."""
 
+import math
 from dataclasses import dataclass
-from math import isfinite
 from typing import NamedTuple
 
+import jax
+import numpy as np
 from jax import numpy as jnp
 from jax import random
 from jaxtyping import Array, Float
@@ -13,6 +15,7 @@ from jaxfit.image.sampling import bilinear, pack
 from jaxfit.types import Picture, Point, Scalar
 
 _BLURS = 4  # times [1 2 1] in both directions, at most
+_GRAIN = 256  # side of the pattern that all noise is cut from, in pixels
 _HIDDEN_SIDES = (0.07, 0.3)  # of what hides a part, in sides of the picture
 
 
@@ -41,7 +44,7 @@ class Disturbance:
 
     def __post_init__(self) -> None:
         values = vars(self).values()
-        if not (all(map(isfinite, values)) and min(values) >= 0 and max(self.blur, self.hidden) <= 1):
+        if not (all(map(math.isfinite, values)) and min(values) >= 0 and max(self.blur, self.hidden) <= 1):
             raise InputError(f"expected numbers of at least 0, and shares (blur, hidden) of at most 1; got {self}")
 
 
@@ -90,7 +93,7 @@ def spoiled(key: Array, picture: Picture, amounts: Disturbance) -> Picture:
     if amounts.noise:
         strength, pattern = random.split(of_noise)
         deviation = amounts.noise * jnp.abs(random.normal(strength))
-        picture = picture + deviation * random.normal(pattern, picture.shape)
+        picture = picture + deviation * _grain(pattern, *picture.shape)
     return _partly_hidden(of_hidden, picture, amounts.hidden) if amounts.hidden else picture
 
 
@@ -107,6 +110,15 @@ def _smoothed(picture: Picture) -> Picture:
     padded = jnp.pad(picture, 1, mode="edge")
     down = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / 4
     return (down[:, :-2] + 2 * down[:, 1:-1] + down[:, 2:]) / 4
+
+
+def _grain(key: Array, height: int, width: int) -> Picture:
+    """White noise of standard deviation 1, from anywhere in one pattern: new noise takes longer than all the rest."""
+    with jax.ensure_compile_time_eval():
+        pattern = jnp.asarray(np.random.default_rng(0).normal(size=(_GRAIN, _GRAIN)), jnp.float32)
+    down, across = random.randint(key, (2,), 0, _GRAIN)
+    rows = pattern[(down + jnp.arange(height)) % _GRAIN]
+    return rows[:, (across + jnp.arange(width)) % _GRAIN]
 
 
 def _partly_hidden(key: Array, picture: Picture, share: float) -> Picture:

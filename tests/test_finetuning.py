@@ -1,0 +1,130 @@
+"""Fine-tuning models on labelled faces: in 2D and 3D, with hidden points, people kept aside, killed and resumed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from drawn_heads import OPTIONS
+
+import jaxfit
+from jaxfit.data.boxes import bounding_square, jitter
+from jaxfit.exceptions import InputError, ModelError
+from jaxfit.finetuning import _kept_aside
+from jaxfit.image.disturb import Disturbance
+from jaxfit.shapes.schemes import AFLW21
+
+MILD = Disturbance(0.05, 0.03, 0.0, 0.1, 1.0, 0.1)
+TUNING = jaxfit.Tuning(epochs=2, batch=8, disturbance=MILD)
+
+
+@pytest.fixture(autouse=True)
+def compiled_soon():
+    """Compiling takes most of the time: less well, and sooner."""
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)
+
+
+@pytest.fixture(scope="module")
+def cautious(heads) -> jaxfit.Model:
+    """SDM that has learned too little."""
+    return jaxfit.train(heads, AFLW21, options=replace(OPTIONS, ridge=30.0)).model
+
+
+def test_what_comes_out(cautious, heads, tmp_path: Path) -> None:
+    model = replace(cautious, training=cautious.training | {"note": "kept"})
+    tuned = jaxfit.finetune(model, heads, tuning=replace(TUNING, epochs=8), validation=0.25)
+    assert (tuned.faces, tuned.problems) == (24, ())
+    assert tuned.errors.shape == (9,)
+    assert tuned.errors.min() < 0.9 * tuned.errors[0]
+    assert tuned.model.training["note"] == "kept"
+    made = tuned.model.training["finetuned"]
+    assert (made["epochs"], made["faces"], made["disturbance"]["noise"]) == (8, 24, 1.0)
+    jaxfit.save(tuned.model, tmp_path / "tuned.safetensors")
+    again = jaxfit.load(tmp_path / "tuned.safetensors")
+    pictures, boxes = [face.image for face in heads], [bounding_square(face.landmarks) for face in heads]
+    np.testing.assert_array_equal(
+        jaxfit.fit(again, pictures, boxes).landmarks, jaxfit.fit(tuned.model, pictures, boxes).landmarks
+    )
+
+
+def test_in_3d_shapes_and_poses_are_learned(head_models, heads) -> None:
+    model = head_models["regression3d"]
+    tuned = jaxfit.finetune(model, heads, tuning=replace(TUNING, epochs=20), validation=0.25)
+    assert tuned.errors[-1] < 0.7 * tuned.errors[0]
+    # From boxes that are far off: the greedy cascade is good at all others.
+    rng = np.random.default_rng(0)
+    boxes = [jitter(bounding_square(face.landmarks), rng, 0.12, 0.15) for face in heads]
+    pictures, poses = [face.image for face in heads], np.stack([face.pose for face in heads])
+    before, after = (jaxfit.fit(each, pictures, boxes).pose for each in (model, tuned.model))
+    assert np.abs(after - poses).mean() < 0.9 * np.abs(before - poses).mean()
+
+
+def test_hidden_landmarks(cautious, heads) -> None:
+    hidden = heads[0].present.copy()
+    hidden[:3] = False
+    faces = [replace(face, present=hidden) if n % 2 else face for n, face in enumerate(heads)]
+    tuned = jaxfit.finetune(cautious, faces, tuning=TUNING, validation=0.25)
+    assert tuned.faces == 24
+    assert np.isfinite(tuned.errors).all()
+    few = hidden.copy()
+    few[:15] = False
+    tuned = jaxfit.finetune(cautious, [replace(heads[0], present=few), *heads[1:]], tuning=TUNING, validation=0.25)
+    assert tuned.problems == ("1 of 1 faces left out: fewer than 8 labelled points, or all on a line",)
+
+
+def test_people_are_kept_aside_whole() -> None:
+    subjects = [f"person {n % 10}" for n in range(40)]
+    aside = _kept_aside(subjects, 0.25, 0)
+    assert len({name for name, kept in zip(subjects, aside, strict=True) if kept}) == 3
+    assert aside.sum() == 12
+    np.testing.assert_array_equal(aside, _kept_aside(subjects, 0.25, 0))
+    assert not np.array_equal(aside, _kept_aside(subjects, 0.25, 1))
+    assert not _kept_aside(subjects, 0.0, 0).any()
+    assert _kept_aside(["a", "b"], 0.01, 0).sum() == 1
+
+
+def test_a_killed_run_goes_on(cautious, heads, tmp_path: Path) -> None:
+    class Killed(Exception):
+        pass
+
+    def kill(stage: str, done: int, total: int) -> None:
+        if stage == "fine-tuning" and done > total / 2:
+            raise Killed
+
+    file = tmp_path / "unfinished"
+    with pytest.raises(Killed):
+        jaxfit.finetune(cautious, heads, tuning=TUNING, checkpoint=file, progress=kill)
+    assert [path.name for path in tmp_path.iterdir()] == ["unfinished"]
+    seen: list[int] = []
+    resumed = jaxfit.finetune(
+        cautious, heads, tuning=TUNING, checkpoint=file, progress=lambda stage, done, total: seen.append(done / total)
+    )
+    first = seen.index(1.0) + 1  # all pictures have been read
+    assert seen[first] == 0.5
+    whole = jaxfit.finetune(cautious, heads, tuning=TUNING)
+    np.testing.assert_array_equal(resumed.errors, whole.errors)
+    np.testing.assert_array_equal(resumed.model.cascade.weights[0], whole.model.cascade.weights[0])
+    with pytest.raises(InputError, match="a checkpoint of other faces, settings or another model"):
+        jaxfit.finetune(cautious, heads, tuning=replace(TUNING, rate=0.01), checkpoint=file)
+    with pytest.raises(InputError, match="a checkpoint of other faces"):
+        jaxfit.finetune(cautious, heads[:-1], tuning=TUNING, checkpoint=file)
+    file.write_bytes(file.read_bytes()[:-20])
+    with pytest.raises(ModelError, match="not a checkpoint, or damaged"):
+        jaxfit.finetune(cautious, heads, tuning=TUNING, checkpoint=file)
+
+
+def test_wrong_arguments(cautious, heads, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="expected labels of 21 landmarks"):
+        jaxfit.finetune(cautious, [replace(heads[0], landmarks=np.zeros((5, 2)))])
+    with pytest.raises(InputError, match="0 <= validation < 1; got 1"):
+        jaxfit.finetune(cautious, heads, validation=1.0)
+    with pytest.raises(InputError, match="at least two faces that can be learned from; got 1"):
+        jaxfit.finetune(cautious, heads[:1])
+    with pytest.raises(InputError, match="two people or more"):
+        jaxfit.finetune(cautious, [replace(face, subject="one") for face in heads])
+    missing = [replace(face, image=tmp_path / "missing.png") for face in heads]
+    with pytest.raises(InputError, match="at least two readable pictures; got 0"):
+        jaxfit.finetune(cautious, missing)
