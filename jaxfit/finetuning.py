@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from jaxfit.data.boxes import bounding_square
 from jaxfit.data.images import read_grey
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError, ModelError
+from jaxfit.image.disturb import Disturbance
 from jaxfit.lifting import fill_labels
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
@@ -121,6 +122,30 @@ def finetune(
         np.asarray(errors),
         tuple(problems),
     )
+
+
+def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) -> Model:
+    """A model that was trained like another, fine-tuned as that one was, if it was.
+
+    Args:
+        model: the model.
+        like: the other.
+        faces: as in `finetune`, like all else that can be given.
+
+    Raises:
+        InputError: as `finetune` does, or if the other does not say how it was fine-tuned.
+    """
+    if (made := like.training.get("finetuned")) is None:
+        return model
+    try:
+        known = {option.name: made[option.name] for option in fields(Tuning)}
+        tuning = Tuning(**known | {"disturbance": Disturbance(**known["disturbance"])})
+        told = {"tuning": tuning, "validation": made["validation"], "mirror": made["mirror"]}
+    except (LookupError, TypeError) as error:
+        raise InputError(
+            f"expected a model that says how it was fine-tuned, as jaxfit.finetune makes ({error})"
+        ) from None
+    return finetune(model, faces, **told, **how).model
 
 
 def _kept_aside(subjects: Sequence[str], share: float, seed: int) -> np.ndarray:

@@ -31,6 +31,7 @@ from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import ImageError, InputError
+from jaxfit.finetuning import retuned
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import mirrored
 from jaxfit.training import METHODS, Options, train
@@ -101,8 +102,8 @@ def learn_confidence(
 ) -> Model:
     """The model with a confidence: the probability that a fit is good, its NMED over the outer eye corners below 0.08.
 
-    Trains ``folds`` models as ``model`` says that it was trained, each without the people of its fold, whom it then
-    fits: that takes about as many times longer than training did.
+    Trains ``folds`` models as ``model`` says that it was trained, and fine-tuned, each without the people of its fold,
+    whom it then fits: that takes about as many times longer than training did.
 
     Args:
         model: what to teach; its confidence, if it has one, is replaced.
@@ -129,6 +130,7 @@ def learn_confidence(
         learned = [faces[number] for number, part in zip(whole, parts, strict=True) if part != fold]
         tested = [faces[number] for number, part in zip(whole, parts, strict=True) if part == fold]
         trained = train(learned, model.scheme, method=method, options=options, progress=told, read=read).model
+        trained = retuned(trained, model, learned, progress=told, read=read)
         drawn = _drawn(trained, tested, seed, read, told)
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)

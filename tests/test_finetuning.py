@@ -11,7 +11,7 @@ from drawn_heads import OPTIONS
 import jaxfit
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.exceptions import InputError, ModelError
-from jaxfit.finetuning import _kept_aside
+from jaxfit.finetuning import _kept_aside, retuned
 from jaxfit.image.disturb import Disturbance
 from jaxfit.shapes.schemes import AFLW21
 
@@ -114,6 +114,17 @@ def test_a_killed_run_goes_on(cautious, heads, tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:-20])
     with pytest.raises(ModelError, match="not a checkpoint, or damaged"):
         jaxfit.finetune(cautious, heads, tuning=TUNING, checkpoint=file)
+
+
+def test_models_are_fine_tuned_alike(cautious, heads) -> None:
+    assert retuned(cautious, cautious, heads) is cautious
+    tuned = jaxfit.finetune(cautious, heads, tuning=TUNING, validation=0.25).model
+    again = retuned(cautious, tuned, heads)
+    np.testing.assert_array_equal(again.cascade.weights[0], tuned.cascade.weights[0])
+    assert again.training == tuned.training
+    silent = replace(tuned, training=tuned.training | {"finetuned": {"epochs": 2}})
+    with pytest.raises(InputError, match="expected a model that says how it was fine-tuned"):
+        retuned(cautious, silent, heads)
 
 
 def test_wrong_arguments(cautious, heads, tmp_path: Path) -> None:
