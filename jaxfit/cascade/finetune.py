@@ -229,10 +229,10 @@ def _everything(step: int, features: Array) -> Array:
 
 
 def _without_some(keys: Array, dropped: float, landmarks: int, step: int, features: Array) -> Array:
-    """The features of a step, 0 for landmarks that it does not see."""
+    """The features of a step, 0 for landmarks that it does not see, and the others so much larger."""
     of_landmarks = features.reshape(*features.shape[:2], landmarks, -1)
     kept = random.bernoulli(keys[step], 1 - dropped, (*of_landmarks.shape[:3], 1))
-    return (of_landmarks * kept).reshape(features.shape)
+    return (of_landmarks * kept / (1 - dropped)).reshape(features.shape)
 
 
 def _features(
