@@ -26,7 +26,7 @@ from jaxfit.exporting import Exported, export_model, load_exported
 from jaxfit.finetuning import Finetuned, finetune
 from jaxfit.fitting import Fits, fit, warm_up
 from jaxfit.image.disturb import Disturbance
-from jaxfit.lifting import Lifted, fill_labels, lift_labels
+from jaxfit.lifting import Lifted, fill_labels, lift_labels, share_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
@@ -85,6 +85,7 @@ __all__ = [
     "read_image",
     "save",
     "save_head",
+    "share_labels",
     "split_by_subject",
     "track",
     "train",

@@ -18,10 +18,11 @@ from jaxfit.data.images import read_grey
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError, ModelError
 from jaxfit.image.disturb import Disturbance
-from jaxfit.lifting import fill_labels
+from jaxfit.lifting import Lifted, fill_labels
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.schemes import Scheme
 from jaxfit.training import cut_faces, training_set, usable_faces
 
 _CHECKPOINT = "jaxfit-finetuning"
@@ -83,10 +84,9 @@ def finetune(
         raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
     if not 0 <= validation < 1:
         raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
-    whole = [face for face in faces if face.complete]
-    filled = fill_labels(faces, scheme, load_head(DEFAULT_HEAD)) if len(whole) < len(faces) else None
-    usable, problems = usable_faces(faces if filled is None else filled.faces, scheme)
-    problems += () if filled is None else filled.problems
+    placed, problems = _placed(faces, scheme)
+    usable, flat = usable_faces([face for face, _ in placed], scheme)
+    problems += flat
     if len(usable) < 2:
         raise InputError(f"expected at least two faces that can be learned from; got {len(usable)}")
     landmarks = np.stack([face.landmarks for face in usable])
@@ -96,14 +96,18 @@ def finetune(
     problems += unread
     if len(rows) < 2:
         raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
-    known = {(face.image, face.face): face.present for face in faces}
-    landmarks[~np.stack([known[face.image, face.face] for face in usable])] = np.nan
+    present = {id(face): known for face, known in placed}
+    landmarks[~np.stack([present[id(face)] for face in usable])] = np.nan
     aside = _kept_aside([usable[row].subject for row in rows], validation, tuning.seed)
 
     def some(rows: np.ndarray) -> TrainingSet:
         return training_set(crops, landmarks, squares, rows, scheme if mirror else None)
 
-    kept = None if checkpoint is None else _Checkpoint(Path(checkpoint), _settings(model, tuning, mirror, rows, aside))
+    kept = (
+        None
+        if checkpoint is None
+        else _Checkpoint(Path(checkpoint), _settings(model, tuning, mirror, landmarks[rows], aside))
+    )
     cascade, errors = finetune_cascade(
         model.cascade,
         some(rows[~aside]),
@@ -148,6 +152,23 @@ def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) 
     return finetune(model, faces, **told, **how).model
 
 
+def _placed(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[tuple[FaceRecord, np.ndarray]], list[str]]:
+    """Faces with all landmarks, guessed by a 3D head model where they are not known, and (L,) bool: which are labelled.
+
+    Also how many were left out, as it does not explain them, and why.
+    """
+    known = [bool(np.isfinite(face.landmarks).all()) for face in faces]
+    unknown = [face for face, whole in zip(faces, known, strict=True) if not whole]
+    filled = fill_labels(unknown, scheme, load_head(DEFAULT_HEAD)) if unknown else Lifted((), ())
+    found = {(face.image, face.face): face.landmarks for face in filled.faces}
+    placed, all_of_them = [], np.ones(scheme.count, bool)
+    for face, whole in zip(faces, known, strict=True):
+        landmarks = face.landmarks if whole else found.get((face.image, face.face))
+        if landmarks is not None:
+            placed.append((replace(face, landmarks=landmarks, present=all_of_them), face.present))
+    return placed, list(filled.problems)
+
+
 def _kept_aside(subjects: Sequence[str], share: float, seed: int) -> np.ndarray:
     """(N,) bool: faces of this share of the people, drawn at random, at least one person if the share is above 0."""
     names = sorted(set(subjects))
@@ -158,10 +179,10 @@ def _kept_aside(subjects: Sequence[str], share: float, seed: int) -> np.ndarray:
     return np.array([name in chosen for name in subjects], bool)
 
 
-def _settings(model: Model, tuning: Tuning, mirror: bool, rows: np.ndarray, aside: np.ndarray) -> dict[str, Any]:
+def _settings(model: Model, tuning: Tuning, mirror: bool, landmarks: np.ndarray, aside: np.ndarray) -> dict[str, Any]:
     """What must be the same for fine-tuning to go on: JSON values."""
     weights = b"".join(tensor.tobytes() for _, tensor in sorted(tensors_of(model).items()))
-    faces = rows.tobytes() + aside.tobytes()
+    faces = landmarks.tobytes() + aside.tobytes()
     return {"tuning": asdict(tuning), "mirror": mirror, "model": zlib.crc32(weights), "faces": zlib.crc32(faces)}
 
 

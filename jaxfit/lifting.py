@@ -5,6 +5,7 @@ Visible points of a turned face give its camera and shape, and with them the poi
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from jaxfit.data.records import FaceRecord
 from jaxfit.evaluation.pose import in_order
 from jaxfit.models.heads import HeadModel
 from jaxfit.shapes.asm import likely_radius
+from jaxfit.shapes.conversions import sources
 from jaxfit.shapes.schemes import Scheme
 
 # Fewer points leave too much open.
@@ -25,6 +27,8 @@ _BEHIND = -0.3
 # Degrees between the pose that the points give and the labelled one, beyond which one of them is wrong.
 _DISAGREE = 20.0
 _VARIANCE = 0.99
+# Centimetres between points of two schemes on the mean head; farther ones, such as ears, stand in for each other.
+_SAME = 2.0
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,8 @@ class Lifted:
     """Faces with labels of another scheme.
 
     Attributes:
-        faces: the faces, all landmarks of the target scheme present, in the order of the given ones; ``visible`` is
-            unknown and all True. ``pose`` is that of the 3D alignment.
+        faces: the faces, with all landmarks of the target scheme, in the order of the given ones; which of them are
+            hidden is unknown, and ``visible`` all of ``present``.
         problems: how many were left out and why, a sentence each.
     """
 
@@ -61,6 +65,78 @@ def lift_labels(
     Raises:
         InputError: the head model lacks one of the schemes.
     """
+    found = _explained(faces, source, target, head, least_yaw)
+    present = np.ones(target.count, bool)
+    lifted = [
+        replace(
+            faces[n],
+            landmarks=found.target[n],
+            present=present,
+            visible=present.copy(),
+            pose=found.pose[n],
+            pose_order="roll-pitch-yaw",
+        )
+        for n in found.kept
+    ]
+    return Lifted(tuple(lifted), found.problems)
+
+
+def share_labels(
+    faces: Sequence[FaceRecord], source: Scheme, target: Scheme, head: HeadModel, least_yaw: float = 0.0
+) -> Lifted:
+    """Those labels of ``target`` that faces labelled with (some of) ``source`` really have.
+
+    Labels that conversion (`jaxfit.convert_dataset`) takes from a single point, and that are near it on the mean head,
+    are that point's, moved by as much as both differ on the head model. Only they are ``present``; all others are where
+    `lift_labels` has them. The same faces are left out.
+
+    Args:
+        faces: labelled faces.
+        source: what their landmarks mean.
+        target: what the new ones shall mean.
+        head: has the points of both.
+        least_yaw: as in `lift_labels`.
+
+    Raises:
+        InputError: the head model lacks one of the schemes, or no conversion to ``source`` is known.
+    """
+    found = _explained(faces, source, target, head, least_yaw)
+    both = head.of_points([*head.indices(source), *head.indices(target)], _VARIANCE)
+    of_source, of_target = np.split(np.asarray(both.mean), [source.count])
+    single = [(own, of[0]) for own, of in enumerate(sources(target, source)) if len(of) == 1]
+    pairs = [(own, of) for own, of in single if np.linalg.norm(of_source[own] - of_target[of]) < _SAME]
+    own, other = map(np.array, zip(*pairs, strict=True))
+    shared = []
+    for n in found.kept:
+        landmarks, present = found.target[n].copy(), np.zeros(target.count, bool)
+        present[other] = faces[n].present[own]
+        moved = landmarks[other] + faces[n].landmarks[own] - found.source[n][own]
+        landmarks[other] = np.where(present[other, None], moved, landmarks[other])
+        shared.append(replace(faces[n], landmarks=landmarks, present=present, visible=present.copy()))
+    return Lifted(tuple(shared), found.problems)
+
+
+class _Explained(NamedTuple):
+    """What a head model makes of N faces.
+
+    Attributes:
+        source: (N, L, 2) their landmarks, where it has them.
+        target: (N, M, 2) those of another scheme.
+        pose: (N, 3) roll, pitch and yaw in degrees.
+        kept: the numbers of those that it explains.
+        problems: how many others there are and why, a sentence each.
+    """
+
+    source: np.ndarray
+    target: np.ndarray
+    pose: np.ndarray
+    kept: list[int]
+    problems: tuple[str, ...]
+
+
+def _explained(
+    faces: Sequence[FaceRecord], source: Scheme, target: Scheme, head: HeadModel, least_yaw: float
+) -> _Explained:
     given, wanted = head.indices(source), head.indices(target)
     model = head.of_points([*given, *wanted], _VARIANCE)
     known = np.array([face.present for face in faces]).reshape(-1, source.count)
@@ -86,19 +162,9 @@ def lift_labels(
         if dropped := int((kept & ~good).sum()):
             problems.append(f"{dropped} of {len(faces)} faces left out: {why}")
         kept &= good
-    present = np.ones(target.count, bool)
-    lifted = [
-        replace(
-            faces[n],
-            landmarks=found.landmarks[n, source.count :, :2],
-            present=present,
-            visible=present.copy(),
-            pose=found.pose[n],
-            pose_order="roll-pitch-yaw",
-        )
-        for n in map(int, np.flatnonzero(kept))
-    ]
-    return Lifted(tuple(lifted), tuple(problems))
+    points = found.landmarks[..., :2]
+    numbers = list(map(int, np.flatnonzero(kept)))
+    return _Explained(points[:, : source.count], points[:, source.count :], found.pose, numbers, tuple(problems))
 
 
 def fill_labels(faces: Sequence[FaceRecord], scheme: Scheme, head: HeadModel) -> Lifted:

@@ -28,8 +28,14 @@ GROUPS = {
     ),
     "Videos": ("track", "TrackedFrame", "TrackedFace", "Tracker", "OneEuro", "Video"),
     "The jitted function inside": ("crop_faces", "fit_crops", "fit_heads", "Heads", "fit_face"),
-    "Labelled faces": ("read_dataset", "convert_dataset", "lift_labels", "fill_labels", "Lifted", "split_by_subject"),
-    "Training": ("train", "Options", "Trained", "calibrate_boxes", "learn_confidence", "try_fits", "Trials"),
+    "Labelled faces": (
+        *("read_dataset", "convert_dataset", "lift_labels", "fill_labels", "share_labels", "Lifted"),
+        "split_by_subject",
+    ),
+    "Training": (
+        *("train", "Options", "Trained", "finetune", "Tuning", "Disturbance", "Finetuned"),
+        *("calibrate_boxes", "learn_confidence", "try_fits", "Trials"),
+    ),
     "Evaluation": ("evaluate",),
     "3D shape models": ("load_head", "save_head", "bundled_heads", "HeadModel"),
     "Export": ("export_model", "load_exported", "Exported"),

@@ -10,13 +10,14 @@ from drawn_heads import OPTIONS
 
 import jaxfit
 from jaxfit.data.boxes import bounding_square, jitter
+from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError, ModelError
 from jaxfit.finetuning import _kept_aside, retuned
 from jaxfit.image.disturb import Disturbance
 from jaxfit.shapes.schemes import AFLW21
 
 MILD = Disturbance(0.05, 0.03, 0.0, 0.1, 1.0, 0.1)
-TUNING = jaxfit.Tuning(epochs=2, batch=8, disturbance=MILD)
+TUNING = jaxfit.Tuning(epochs=2, batch=8, dropped=0.1, disturbance=MILD)
 
 
 @pytest.fixture(autouse=True)
@@ -62,17 +63,37 @@ def test_in_3d_shapes_and_poses_are_learned(head_models, heads) -> None:
     assert np.abs(after - poses).mean() < 0.9 * np.abs(before - poses).mean()
 
 
+def partly(face: FaceRecord, present: np.ndarray) -> FaceRecord:
+    """The face with some landmarks unknown."""
+    return replace(face, landmarks=np.where(present[:, None], face.landmarks, np.nan), present=present)
+
+
 def test_hidden_landmarks(cautious, heads) -> None:
     hidden = heads[0].present.copy()
     hidden[:3] = False
-    faces = [replace(face, present=hidden) if n % 2 else face for n, face in enumerate(heads)]
+    faces = [partly(face, hidden) if n % 2 else face for n, face in enumerate(heads)]
     tuned = jaxfit.finetune(cautious, faces, tuning=TUNING, validation=0.25)
     assert tuned.faces == 24
     assert np.isfinite(tuned.errors).all()
     few = hidden.copy()
     few[:15] = False
-    tuned = jaxfit.finetune(cautious, [replace(heads[0], present=few), *heads[1:]], tuning=TUNING, validation=0.25)
+    tuned = jaxfit.finetune(cautious, [partly(heads[0], few), *heads[1:]], tuning=TUNING, validation=0.25)
     assert tuned.problems == ("1 of 1 faces left out: fewer than 8 labelled points, or all on a line",)
+
+
+def test_guessed_landmarks_do_not_count(cautious, heads) -> None:
+    guessed = np.isin(np.arange(21), [7, 10, 14, 18])  # in the middle: the face's square stays what it is
+    wrong = [face.landmarks + 5.0 * guessed[:, None] for face in heads]
+    faces = [replace(face, landmarks=points, present=~guessed) for face, points in zip(heads, wrong, strict=True)]
+    boxes = [bounding_square(face.landmarks) for face in heads]
+    truth = np.stack([face.landmarks for face in heads])
+    moved = []
+    for labels in (faces, [replace(face, present=np.ones(21, bool)) for face in faces]):
+        tuned = jaxfit.finetune(cautious, labels, tuning=replace(TUNING, epochs=10), validation=0.0).model
+        found = jaxfit.fit(tuned, [face.image for face in heads], boxes).landmarks
+        moved.append((found - truth)[:, guessed].mean())
+    assert abs(moved[0]) < 0.5
+    assert moved[1] > 2.0
 
 
 def test_people_are_kept_aside_whole() -> None:

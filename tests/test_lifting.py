@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from jaxfit.data.aflw import read_aflw
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError
-from jaxfit.lifting import fill_labels, lift_labels
+from jaxfit.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import AFLW21, IBUG68, scheme_named
 
@@ -75,6 +75,38 @@ def test_complete_labels_give_the_points_of_the_other_scheme(heads):
     # Points that both schemes have are where they were.
     own, other = [36, 45, 48, 54, 8], [6, 11, 17, 19, 20]
     assert distances(landmarks[:, own], given[:, other]).max() < 0.01
+
+
+def test_shared_points_are_labelled_and_the_others_guessed(heads):
+    given, wanted, _ = heads
+    hidden = np.arange(21) == 8  # an inner corner of an eye
+    faces = [record(n, points, ~hidden if n % 2 else None) for n, points in enumerate(given)]
+    shared, lifted = share_labels(faces, AFLW21, IBUG68, HEAD), lift(faces)
+    assert shared.problems == lifted.problems == ()
+    same = [17, 19, 21, 22, 24, 26, 36, 39, 42, 45, 31, 30, 35, 48, 54, 8]
+    for number, (face, other) in enumerate(zip(shared.faces, lifted.faces, strict=True)):
+        assert set(np.flatnonzero(face.present)) == set(same) - ({39} if number % 2 else set())
+        np.testing.assert_array_equal(face.landmarks[~face.present], other.landmarks[~face.present])
+    # As exact as the labels, where both schemes have the same points.
+    exact = [36, 42, 45, 30, 48, 54, 8]
+    np.testing.assert_allclose(landmarks_of(shared)[:, exact], wanted[:, exact], atol=1e-2)
+    assert distances(landmarks_of(shared)[:, same], wanted[:, same]).max() < 0.01
+
+
+def test_labels_move_the_points_that_they_share(heads):
+    given, _, _ = heads
+    moved = given.copy()
+    moved[:, 6] += [3.0, 0.0]  # the outer corner of an eye
+    before, after = (
+        landmarks_of(share_labels([record(n, points) for n, points in enumerate(faces)], AFLW21, IBUG68, HEAD))
+        for faces in (given, moved)
+    )
+    np.testing.assert_allclose((after - before)[:, 36], np.tile([3.0, 0.0], (COUNT, 1)), atol=0.05)
+
+
+def test_schemes_without_a_conversion_share_nothing(heads):
+    with pytest.raises(InputError, match="cannot convert landmarks from aflw21 to ibug68"):
+        share_labels([record(n, points) for n, points in enumerate(heads[1])], IBUG68, AFLW21, HEAD)
 
 
 def test_half_of_the_labels_are_enough(heads):

@@ -52,10 +52,10 @@ class Tuning:
         InputError: an option out of range.
     """
 
-    epochs: int = 40
+    epochs: int = 20
     rate: float = 0.05
     batch: int = 64
-    dropped: float = 0.1
+    dropped: float = 0.3
     spread: float = 1.0
     disturbance: Disturbance = field(default_factory=Disturbance)
     seed: int = 0

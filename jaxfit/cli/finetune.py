@@ -7,8 +7,8 @@ from typing import get_type_hints
 import numpy as np
 
 from jaxfit.cascade.finetune import Tuning
-from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, model_target, require_folds, seed
-from jaxfit.cli.labelled_faces import add_faces, read_faces
+from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head, model_target, require_folds, seed
+from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.images import GreyPictures
 from jaxfit.exceptions import InputError
@@ -43,6 +43,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     command.add_argument("model", help="a model file, or a bundled model's name")
     add_faces(command)
+    add_shared(command)
+    add_head(command)
     command.add_argument("--out", required=True, metavar="MODEL.safetensors", help="the model file to write")
     command.add_argument(
         "--validation",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
-from jaxfit.lifting import fill_labels, lift_labels
+from jaxfit.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import Scheme
 
@@ -29,6 +29,7 @@ class LabelledFaces:
 def add_faces(command: argparse.ArgumentParser) -> None:
     """``--data``, ``--scheme``, ``--fill``, ``--lift``, ``--lift-yaw`` and ``--without``."""
     add_datasets(command)
+    command.set_defaults(share=[])
     command.add_argument(
         "--fill",
         action="store_true",
@@ -54,8 +55,20 @@ def add_faces(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_shared(command: argparse.ArgumentParser) -> None:
+    """``--share``."""
+    command.add_argument(
+        "--share",
+        nargs="+",
+        default=[],
+        metavar="SPEC",
+        help="more datasets, of other landmarks: those that both have teach (see --head)",
+    )
+
+
 def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
-    """The faces of ``--data``, filled if ``--fill`` says so, and of ``--lift``, less those of ``--without``.
+    """The faces of ``--data``, filled if ``--fill`` says so, of ``--lift``, and of ``--share``, if the command has it,
+    less those of ``--without``.
 
     Raises:
         InputError: datasets of several schemes, no such dataset, or ``--lift-yaw`` without ``--lift``.
@@ -75,11 +88,15 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
             for dataset, part in zip(datasets, filled, strict=True)
             for problem in part.problems
         ]
-    for dataset in read_datasets(arguments.lift, None):
-        lifted = lift_labels(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), arguments.lift_yaw)
-        parts.append(lifted.faces)
-        problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in lifted.problems)]
-        print(f"{dataset.spec}: {len(lifted.faces)} of {len(dataset.faces)} faces lifted to {scheme.name}")
+    others = [
+        *((dataset, lift_labels, arguments.lift_yaw, "lifted to") for dataset in read_datasets(arguments.lift, None)),
+        *((dataset, share_labels, 0.0, "that share points with") for dataset in read_datasets(arguments.share, None)),
+    ]
+    for dataset, through_head, least_yaw, done in others:
+        found = through_head(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), least_yaw)
+        parts.append(found.faces)
+        problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]
+        print(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {scheme.name}")
     # A person of the same name in another dataset is another person.
     faces = [replace(face, subject=f"{number}/{face.subject}") for number, part in enumerate(parts) for face in part]
     return LabelledFaces(_without(faces, read_datasets(arguments.without, None)), scheme, problems)

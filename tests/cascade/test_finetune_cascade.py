@@ -23,7 +23,7 @@ FACES = training_set(*blob_faces(COUNT, seed=0))
 NEW_CROPS, NEW_LANDMARKS = blob_faces(COUNT, seed=1)
 CHECK = training_set(NEW_CROPS, NEW_LANDMARKS)
 MILD = Disturbance(0.05, 0.03, 0.0, 0.0, 0.0, 0.0)
-TUNING = Tuning(epochs=10, rate=0.1, batch=10, disturbance=MILD)
+TUNING = Tuning(epochs=10, rate=0.1, batch=10, dropped=0.1, disturbance=MILD)
 
 
 @cache
@@ -91,9 +91,9 @@ def test_learns_what_greedy_training_does_not():
     cascade, errors = tuned()
     before = mean_error(fit_crops(greedy(), NEW_CROPS), NEW_LANDMARKS)
     after = mean_error(fit_crops(cascade, NEW_CROPS), NEW_LANDMARKS)
-    assert after < 0.8 * before
+    assert after < 0.85 * before
     assert len(errors) == TUNING.epochs + 1
-    assert errors[-1] < 0.8 * errors[0]
+    assert errors[-1] < 0.85 * errors[0]
 
 
 def test_the_best_epoch_is_taken(monkeypatch):
