@@ -95,7 +95,8 @@ def rival_fits(predictor: Any, model: Model, faces: Sequence[FaceRecord], boxes:
 
 
 def cut_crops(model: Model, frame: Frame, faces: Sequence[FaceRecord], boxes: np.ndarray) -> tuple[Crops, np.ndarray]:
-    """The crops of the faces that can be cut, as the model sees them but of another frame; and the faces' numbers."""
+    """The crops of the faces that can be cut, as the model sees them but of another size; and the faces' numbers."""
+    frame = replace(frame, shift=model.cascade.frame.shift)
     framed = replace(model, cascade=replace(model.cascade, frame=frame))
     crops, problems = jaxfit.crop_faces(framed, [face.image for face in faces], boxes, read=read_grey)
     numbers = np.array([number for number in range(len(faces)) if number not in problems], int)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from compare_models import complete, write_report
+from jax import numpy as jnp
 
 import jaxfit
 from jaxfit.cascade.fit import centroid
@@ -78,6 +79,10 @@ def _chosen(landmarks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return landmarks[np.arange(len(landmarks)), numbers]
 
 
+def _centroids(landmarks: np.ndarray) -> np.ndarray:
+    return np.array([int(centroid(fits)) for fits in jnp.asarray(landmarks, jnp.float32)])
+
+
 def _weighted(landmarks: np.ndarray, weights: np.ndarray) -> np.ndarray:
     shares = weights / weights.sum(1, keepdims=True)
     return np.einsum("ns,nslc->nlc", shares, landmarks)
@@ -85,7 +90,9 @@ def _weighted(landmarks: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 FUSIONS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     ALONE: lambda fits, sure: fits[:, 0],
-    "centroid": lambda fits, sure: _chosen(fits, np.array([int(centroid(each)) for each in fits.astype(np.float32)])),
+    "centroid": lambda fits, sure: _chosen(
+        fits, np.array([int(centroid(each)) for each in jnp.asarray(fits, jnp.float32)])
+    ),
     "median": lambda fits, sure: np.median(fits, 1),
     "mean": lambda fits, sure: fits.mean(1),
     "mean, weighted by confidence": _weighted,

@@ -39,7 +39,8 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="SPEC",
-        help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}",
+        help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}; FORMAT+PIXELS:PATH moves the labels "
+        "right and down by so many pixels",
     )
     command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
 
@@ -185,6 +186,12 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument("--normalisation", choices=NORMALISATIONS, help="of sift; vector unless said otherwise")
     command.add_argument("--crop", type=int, help="side of the crops, in pixels; unless given it suits the descriptor")
     command.add_argument("--face", type=float, help="side of the face in them, in pixels; unless given, likewise")
+    command.add_argument(
+        "--shift",
+        type=float,
+        metavar="PIXELS",
+        help="by which labels lie right of and below what they mark, and the model's fits then too: 0 unless given",
+    )
     command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
 
 
@@ -241,7 +248,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
                     "--descriptor"
                 )
             descriptor = replace(descriptor, **{name: choice})
-    sides = {name: side for name in ("crop", "face") if (side := getattr(arguments, name)) is not None}
+    sides = {name: side for name in ("crop", "face", "shift") if (side := getattr(arguments, name)) is not None}
     return Options(
         windows=tuple(arguments.windows),
         augmentations=arguments.augmentations,

@@ -21,7 +21,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
 )
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.datasets import convert_dataset
+from jaxfit.data.datasets import convert_dataset, parse_spec
 from jaxfit.data.detectors import detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.records import Dataset
@@ -168,7 +168,7 @@ def _box_kind(options: argparse.Namespace, model: Model, dataset: Dataset) -> st
 
 def _start_kind(model: Model, dataset: Dataset) -> str:
     """The kind of the boxes that fits start from without ``--boxes``: datasets without landmarks have their own."""
-    own = dataset.spec.partition(":")[0]
+    own = parse_spec(dataset.spec)[0]
     if dataset.scheme != NO_LANDMARKS:
         return SQUARE
     if own in model.known_placements:

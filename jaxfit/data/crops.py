@@ -83,7 +83,8 @@ def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, ro
 def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame) -> Crop:
     """The crop of a grey picture, uint8 (H, W), that shows a face at the frame's size in its middle.
 
-    Beyond the picture its edge pixels are repeated.
+    Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift`` from
+    the pixels that they mark.
 
     Args:
         grey: (H, W) uint8.
@@ -98,7 +99,7 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
         raise InputError(f"expected a finite centre and a positive face side; got {centre} and {face_side}")
     scale = float(face_side) / frame.face
     offset = np.asarray(centre, np.float64) - scale * frame.middle
-    x, y = offset.tolist()
+    x, y = (offset - frame.shift).tolist()
     columns, rows = (_side(*of, scale, frame.crop) for of in ((grey.shape[1], x), (grey.shape[0], y)))
     part = _shrunk(grey[rows.low : rows.high, columns.low : columns.high], columns, rows)
     # Left to shrink is less than twofold: a bilinear sample a crop pixel, or four where one would miss much.

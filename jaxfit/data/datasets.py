@@ -1,6 +1,7 @@
 """The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -30,17 +31,33 @@ FORMATS: dict[str, Callable[[Path], Dataset]] = {
 }
 
 
+def parse_spec(spec: str) -> tuple[str, float, str]:
+    """Of ``FORMAT:PATH`` or ``FORMAT+PIXELS:PATH``: the format, by how many pixels labels are moved, and the path.
+
+    Raises:
+        InputError: no path, or an unknown format.
+    """
+    name, _, path = spec.partition(":")
+    known = re.fullmatch(r"(.+?)([+-][0-9]*\.?[0-9]+)?", name)
+    if not known or known[1] not in FORMATS or not path:
+        raise InputError(f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}; got {spec!r}")
+    return known[1], float(known[2] or 0), path
+
+
 def read_dataset(spec: str) -> Dataset:
     """The dataset that ``spec``, ``FORMAT:PATH``, names.
+
+    ``FORMAT+PIXELS:PATH`` moves the labels right and down by so many pixels when they are read, ``FORMAT-PIXELS:PATH``
+    left and up, so that datasets whose labels count pixels differently can be used together.
 
     Raises:
         InputError: no path, or an unknown format.
         DatasetError: the dataset is missing, damaged, or has no face that can be used.
     """
-    name, _, path = spec.partition(":")
-    if name not in FORMATS or not path:
-        raise InputError(f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}; got {spec!r}")
-    return replace(FORMATS[name](Path(path)), spec=spec)
+    name, shift, path = parse_spec(spec)
+    found = FORMATS[name](Path(path))
+    moved = tuple(replace(face, landmarks=face.landmarks + shift) for face in found.faces) if shift else found.faces
+    return replace(found, faces=moved, spec=spec)
 
 
 def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:

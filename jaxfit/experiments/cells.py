@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxfit.calibrating import evaluate_pose
 from jaxfit.cascade.model import first_steps
+from jaxfit.data.datasets import parse_spec
 from jaxfit.data.records import FaceRecord
 from jaxfit.evaluating import Evaluation, evaluate, evaluate_steps
 from jaxfit.exceptions import ImageError, InputError
@@ -257,7 +258,7 @@ class Pose:
     @property
     def name(self) -> str:
         """Path of its results."""
-        return f"pose/{self.spec.partition(':')[0]}"
+        return f"pose/{parse_spec(self.spec)[0]}"
 
     @property
     def needs(self) -> tuple[str, ...]:

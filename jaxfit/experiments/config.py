@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxfit.data.datasets import FORMATS
+from jaxfit.data.datasets import parse_spec
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.evaluation.errors import NORMALISERS
@@ -235,7 +235,7 @@ def _method(name: str, values: Mapping[str, Any], usual: Options) -> MethodPlan:
 def _pose(values: Mapping[str, Any]) -> PosePlan:
     _require_known("[pose]", values, {"train", "test", "scheme"})
     plan = PosePlan(_specs("[pose]", values, "train"), _specs("[pose]", values, "test"), _scheme("[pose]", values))
-    formats = [spec.partition(":")[0] for spec in plan.test]
+    formats = [parse_spec(spec)[0] for spec in plan.test]
     if len(set(formats)) < len(formats):
         raise InputError(f"[pose] test: expected datasets of different formats, which name them; got {list(plan.test)}")
     return plan
@@ -308,8 +308,11 @@ def _specs(where: str, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
     specs = values.get(key)
     if not (isinstance(specs, list) and specs and all(isinstance(spec, str) for spec in specs)):
         raise InputError(f'{where} {key}: expected a list of "FORMAT:PATH"; got {specs!r}')
-    if any(spec.partition(":")[0] not in FORMATS for spec in specs):
-        raise InputError(f"{where} {key}: expected FORMAT one of {', '.join(FORMATS)}; got {', '.join(specs)}")
+    try:
+        for spec in specs:
+            parse_spec(spec)
+    except InputError as error:
+        raise InputError(f"{where} {key}: {error}") from None
     return tuple(specs)
 
 

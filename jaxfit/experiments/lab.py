@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxfit.aligning import align_labels
 from jaxfit.calibrating import CALIBRATED
-from jaxfit.data.datasets import convert_dataset, read_dataset
+from jaxfit.data.datasets import convert_dataset, parse_spec, read_dataset
 from jaxfit.data.images import GreyPictures
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import Dataset, FaceRecord
@@ -118,7 +118,7 @@ class Lab:
         scheme = same_scheme(datasets)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
         # By folder, so that folds do not depend on where the data lie.
-        names = [Path(dataset.spec.partition(":")[2]).name for dataset, _ in complete]
+        names = [Path(parse_spec(dataset.spec)[2]).name for dataset, _ in complete]
         subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
         records = tuple(face for _, face in complete)
         return Faces(

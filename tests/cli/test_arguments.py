@@ -65,7 +65,10 @@ def test_a_rank_is_a_whole_number() -> None:
     [
         ("asm", "a method among sdm, parametric, alignment3d, regression3d; got 'asm'"),
         (":ridge=1", "got ''"),
-        ("sdm:", "expected key=value with a key among windows, .*, orientation, normalisation, crop, face; got ''"),
+        (
+            "sdm:",
+            "expected key=value with a key among windows, .*, orientation, normalisation, crop, face, shift; got ''",
+        ),
         ("sdm:frame=3", "got 'frame'"),
         ("sdm:Ridge=3", "got 'Ridge'"),
         ("sdm:ridge", "expected ridge to be like 3.0; got ''"),

@@ -57,6 +57,18 @@ def test_crops_are_not_shifted(shrink):
     np.testing.assert_allclose(measured, to_crop(true, crop.scale, crop.offset), atol=0.03)
 
 
+@pytest.mark.parametrize("shrink", [0.5, 2.3])
+def test_labels_that_are_off_are_so_in_crops(shrink):
+    """As labels have it, a blob's middle lies two picture pixels right of and below where it is."""
+    middle = np.array([203.3, 198.8])
+    image = picture(400, 400, lambda points: 250 * np.exp(-((points - middle) ** 2).sum(2) / (2 * (5 * shrink) ** 2)))
+    crop = cut_face(image, middle + 2, shrink * FRAME.face, Frame(crop=64, face=36.0, shift=2.0))
+    weights = crop.pixels / crop.pixels.sum()
+    measured = (weights[..., None] * crop_points()).sum((0, 1))
+    np.testing.assert_allclose(measured, to_crop(middle + 2, crop.scale, crop.offset), atol=0.03)
+    np.testing.assert_allclose(measured, FRAME.middle, atol=0.03)
+
+
 def test_a_linear_ramp_stays_linear():
     image = picture(200, 250, lambda points: points[..., 0])
     crop = cut_face(image, np.array([120.25, 100.5]), 1.7 * FRAME.face, FRAME)

@@ -33,6 +33,8 @@ def test_paths_may_have_colons_and_the_name_is_kept(tmp_path):
     dataset = read_dataset(f"pts:{folder}/")
     assert dataset.spec == f"pts:{folder}/"
     assert read_dataset(f"pts0:{folder}").faces[0].landmarks.tolist() == [[2.0, 3.0]]
+    assert read_dataset(f"pts+1:{folder}").faces[0].landmarks.tolist() == [[2.0, 3.0]]
+    assert read_dataset(f"pts0-.5:{folder}").faces[0].landmarks.tolist() == [[1.5, 2.5]]
 
 
 @pytest.mark.parametrize(

@@ -14,3 +14,9 @@ def test_the_middle_is_the_mean_of_the_pixel_centres(crop):
 def test_impossible_sizes_are_refused(crop, face):
     with pytest.raises(InputError, match=f"got face {face}, crop {crop}"):
         Frame(crop=crop, face=face)
+
+
+@pytest.mark.parametrize("shift", [float("nan"), float("inf"), -11.0])
+def test_impossible_shifts_are_refused(shift):
+    with pytest.raises(InputError, match=f"shift of {shift}"):
+        Frame(shift=shift)

@@ -1,0 +1,130 @@
+"""What faces with missing landmarks teach: complete faces alone, filled by a head model, and fine-tuned with masks.
+
+A part of the people is kept aside. Four models learn from the others: from complete faces (greedy training, and tuned
+end to end), and from all (greedy on landmarks that a 3D head model fills in, and tuned end to end by labelled ones
+alone). They are tested on complete faces, by the NMED over the outer eye corners, and on the labelled points of all, by
+the labelled yaw: mean distance in sides of the square around them. All fits start from the same boxes.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from compare_models import write_report
+
+import jaxfit
+from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, training_options
+from jaxfit.cli.main import exit_code
+from jaxfit.cli.progress import Bars
+from jaxfit.data.boxes import bounding_square
+from jaxfit.data.images import GreyPictures
+from jaxfit.data.records import FaceRecord
+from jaxfit.evaluating import start_boxes
+from jaxfit.evaluation.curves import LIMIT
+from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.evaluation.statistics import signed_rank, summarise
+from jaxfit.evaluation.tables import markdown_table
+from jaxfit.exceptions import InputError
+from jaxfit.lifting import fill_labels
+from jaxfit.models.heads import load_head
+from jaxfit.models.model import Model
+from jaxfit.shapes.schemes import Scheme
+
+BANDS = ((0, 15), (15, 30), (30, 45), (45, 60), (60, 90), (0, 45), (45, 90))  # |yaw| in degrees
+YAW = 2
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_datasets(parser)
+    add_training(parser)
+    parser.add_argument("--folds", type=int, default=5, help="one of so many parts of the people is tested")
+    parser.add_argument("--epochs", type=int, default=jaxfit.Tuning.epochs, help="of fine-tuning")
+    parser.add_argument("--report", metavar="FILE.md", help="replace the figures in this page, or write it")
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    (dataset,) = read_datasets(arguments.data, arguments.scheme)
+    tested = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed) == 0
+    learned, test = ([face for face, of in zip(dataset.faces, tested, strict=True) if of == part] for part in (0, 1))
+    test = [face for face in test if face.image.is_file() and face.present.sum() > 2 and face.pose is not None]
+    if not any(face.complete for face in test):
+        raise InputError(
+            f"{dataset.spec}: expected faces with all landmarks and a pose among those to be tested; got none"
+        )
+    models = trained(learned, dataset.scheme, arguments)
+    tables = tested_on(models, test, dataset.scheme)
+    print("\n".join(tables))
+    if arguments.report:
+        write_report(Path(arguments.report), tables)
+    return 0
+
+
+def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Namespace) -> dict[str, Model]:
+    """The four models by their names."""
+    options = training_options(arguments, scheme, "sdm")
+    tuning, read = jaxfit.Tuning(epochs=arguments.epochs, seed=arguments.seed), GreyPictures()
+    complete = [face for face in faces if face.complete]
+    filled = fill_labels(faces, scheme, load_head(arguments.head)).faces
+    models = {}
+    with Bars() as bars:
+        for name, given, tuned_by in (("complete faces", complete, complete), ("all faces", filled, faces)):
+            made = jaxfit.train(given, scheme, options=options, read=read, progress=bars)
+            tuned = jaxfit.finetune(made.model, tuned_by, tuning=tuning, validation=0.0, read=read, progress=bars)
+            models[f"{name} ({made.faces})"] = made.model
+            models[f"{name}, fine-tuned ({tuned.faces})"] = tuned.model
+    return models
+
+
+def tested_on(models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Scheme) -> list[str]:
+    """A table of errors on complete faces, and one by yaw."""
+    boxes, read = start_boxes(faces), GreyPictures()
+    pictures = [read(face.image) for face in faces]
+    truth = np.stack([face.landmarks for face in faces])
+    known, complete = np.isfinite(truth).all(2), np.array([face.complete for face in faces])
+    yaw = np.abs([np.nan if face.pose is None else face.pose[YAW] for face in faces])
+    sides = np.array([bounding_square(points)[2] for points in truth])
+    subjects = np.array([face.subject for face in faces])
+    of_complete, by_yaw, first = [], [], {}
+    for name, model in models.items():
+        found = jaxfit.fit(model, pictures, boxes).landmarks
+        errors = nmed(found[complete], truth[complete], scheme)
+        distances = np.where(known, np.linalg.norm(found - truth, axis=2), 0.0)
+        # Without a fit they are NaN, and as wrong as can be.
+        shares = np.nan_to_num(distances.sum(1) / known.sum(1) / sides, nan=np.inf)
+        first = first or {"complete": errors, "shares": shares}
+        all_of_them = summarise(errors)
+        row: dict[str, Any] = {"learned from": name, "median NMED": all_of_them.median, "AUC": all_of_them.auc}
+        row |= {"failures, %": 100 * all_of_them.failure, "p": against(errors, first["complete"], subjects[complete])}
+        of_complete.append(row)
+        row = {"learned from": name}
+        for low, high in BANDS:
+            band = (yaw >= low) & (yaw < high)
+            if not band.any():
+                continue
+            text = f"{np.median(shares[band]):.4f}, {100 * np.mean(shares[band] > LIMIT):.0f} %"
+            row[f"{low}–{high}° ({band.sum()})"] = text
+            if (low, high) in BANDS[-2:]:
+                row[f"p {low}–{high}°"] = against(shares[band], first["shares"][band], subjects[band])
+        by_yaw.append(row)
+    columns = {"learned from": "", "median NMED": ".4f", "AUC": ".3f", "failures, %": ".1f", "p": ".1g"}
+    formats = {key: ".1g" if key.startswith("p ") else "" for key in by_yaw[0]}
+    return [
+        f"Complete faces ({complete.sum()}), against the first row:\n\n{markdown_table(of_complete, columns)}\n",
+        f"Labelled points of all faces by |yaw|: median error, and how many exceed {LIMIT:.0%} of the square's side, "
+        f"against the first row:\n\n{markdown_table(by_yaw, formats)}\n",
+    ]
+
+
+def against(errors: np.ndarray, first: np.ndarray, subjects: np.ndarray) -> float | None:
+    """The p-value of a difference; None between a model and itself."""
+    return None if np.array_equal(errors, first) else signed_rank(errors, first, list(subjects))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
