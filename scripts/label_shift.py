@@ -14,12 +14,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from compare_models import write_report
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.datasets import parse_spec
 from jaxfit.data.images import read_grey
-from jaxfit.data.outputs import atomic_write
 from jaxfit.data.records import Dataset
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import ImageError, InputError
@@ -35,7 +35,7 @@ def main() -> int:
     add_datasets(parser)
     parser.add_argument("--faces", type=int, default=900, help="that are looked at, of each dataset")
     parser.add_argument("--seed", type=seed, default=0, help="of the bootstrap")
-    parser.add_argument("--out", metavar="FILE.md", help="write the table")
+    parser.add_argument("--report", metavar="FILE.md", help="replace the figures in this page, or write it")
     return exit_code(run, parser.parse_args())
 
 
@@ -67,9 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
         "±": ".2f",
     }
     print(table := markdown_table(rows, columns))
-    if arguments.out:
-        with atomic_write(Path(arguments.out), "w") as file:
-            file.write(f"```\n{' '.join(['python', *sys.argv])}\n```\n\n{table}\n")
+    if arguments.report:
+        write_report(Path(arguments.report), [f"{table}\n"])
     return 0
 
 

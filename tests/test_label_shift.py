@@ -12,7 +12,7 @@ from jaxfit.data.pts import write_pts
 from jaxfit.models.heads import load_head
 from jaxfit.shapes.schemes import IBUG68
 
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "label_shift.py"
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 FACE = np.asarray(load_head().of(IBUG68, 0.5).mean)[:, :2]
 
 
@@ -33,14 +33,15 @@ def draw(folder: Path, number: int, shift: float) -> None:
 
 @pytest.mark.parametrize("shift", [0.0, 1.0, -1.7])
 def test_shifts_of_labels_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shift: float) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
     faces = tmp_path / "faces"
     faces.mkdir()
     for number in range(4):
         draw(faces, number, shift)
     out = tmp_path / "shift.md"
-    monkeypatch.setattr(sys, "argv", ["label_shift.py", "--data", f"pts:{faces}", "--out", str(out)])
-    assert runpy.run_path(str(SCRIPT))["main"]() == 0
-    name, count, _, found, _ = (cell.strip() for cell in out.read_text().splitlines()[-1].strip("| ").split("|"))
+    monkeypatch.setattr(sys, "argv", ["label_shift.py", "--data", f"pts:{faces}", "--report", str(out)])
+    assert runpy.run_path(str(SCRIPTS / "label_shift.py"))["main"]() == 0
+    name, count, _, found, _ = (cell.strip() for cell in out.read_text().splitlines()[-2].strip("| ").split("|"))
     assert (name, count) == ("faces", "4")
     assert float(found) == pytest.approx(shift, abs=0.15)
 
@@ -48,9 +49,10 @@ def test_shifts_of_labels_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 def test_faces_that_do_not_look_at_the_camera_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
     draw(tmp_path, 0, 0.0)
     profile = np.stack([np.maximum(FACE[:, 0], 0), FACE[:, 1]], 1) * 6 + 100
     write_pts(tmp_path / "0.pts", profile)
     monkeypatch.setattr(sys, "argv", ["label_shift.py", "--data", f"pts:{tmp_path}"])
-    assert runpy.run_path(str(SCRIPT))["main"]() == 2
+    assert runpy.run_path(str(SCRIPTS / "label_shift.py"))["main"]() == 2
     assert "expected two faces or more that look at the camera" in capsys.readouterr().err
