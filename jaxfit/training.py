@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxfit import __version__
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
-from jaxfit.cascade.train import Choice, Progress, Spread, TrainingSet, train_cascade
+from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detectors import best_match, detect_faces
@@ -20,7 +20,6 @@ from jaxfit.data.placements import Placement, measure_placement
 from jaxfit.data.records import FaceRecord
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import Sift
-from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
@@ -64,9 +63,6 @@ class Options:
             The thesis's is 3; but the more modes there are, the farther out faces lie, and most are cut off by 3. None
             takes the radius that holds as many of normally distributed faces as ±3 hold of normal numbers, 99.7 %.
         head: 3D shape model of the 3D methods: a bundled head model's name, or a file of ``scripts/build_head.py``.
-        tune: parts of the people, by which each step's window, ridge and share of variance are chosen among some around
-            those given here, as steps of unseen people are told best; takes about four times as long. 0 takes them as
-            they are given.
         mirror: train on mirrored pictures too.
         haar: run OpenCV's Haar detectors on the training pictures to learn how faces lie in their boxes, which takes
             some minutes; without, the model knows only boxes around the landmarks.
@@ -90,7 +86,6 @@ class Options:
     shape_variance: float = 0.99
     sigmas: float | None = None
     head: str = DEFAULT_HEAD
-    tune: int = 0
     mirror: bool = True
     haar: bool = True
     seed: int = 0
@@ -110,14 +105,13 @@ class Options:
             and 0 < self.variance <= 1
             and 0 < self.shape_variance <= 1
             and min(self.ridge, self.spread, self.seed) >= 0
-            and (self.tune == 0 or (self.tune > 1 and self.ridge > 0))
         ):
             raise InputError(
                 "expected at least one step, windows and sigmas > 0, rank and augmentations >= 1, 0 < variance <= 1, "
-                "0 < shape_variance <= 1, ridge, spread and seed >= 0, and tune 0, or 2 or more with a ridge > 0; got "
+                "0 < shape_variance <= 1, and ridge, spread and seed >= 0; got "
                 f"windows {self.windows}, sigmas {self.sigmas}, augmentations {self.augmentations}, "
                 f"rank {self.rank}, variance {self.variance}, shape_variance {self.shape_variance}, "
-                f"ridge {self.ridge}, spread {self.spread}, seed {self.seed}, tune {self.tune}"
+                f"ridge {self.ridge}, spread {self.spread}, seed {self.seed}"
             )
 
 
@@ -239,18 +233,11 @@ def train(
     if len(rows) < 2:
         raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
     space = METHODS[method].learn_space(relative[rows], scheme, options, frame.face)
-    learned = training_set(crops, landmarks, squares, rows, scheme if options.mirror else None)
-    parts = None
-    if options.tune:
-        parts = np.zeros(len(complete), int)
-        parts[rows] = split_by_subject([complete[row].subject for row in rows], options.tune, options.seed)
-        parts = parts[learned.source]
-    chosen: list[Choice] = []
     cascade = train_cascade(
         space,
         descriptor,
         frame,
-        learned,
+        training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
         _scaled(placement.spread, options.spread),
         windows=options.windows,
         augmentations=options.augmentations,
@@ -259,14 +246,12 @@ def train(
         rank=options.rank,
         seed=options.seed,
         turn=_turn(options),
-        folds=parts,
-        chosen=chosen.append,
         progress=progress,
     )
     head = solid if METHODS[method].aligns else None
     placements = {SQUARE: placement, **detected.placements(landmarks, mean, frame.face)}
     return Trained(
-        Model(cascade, scheme, placements, _summary(method, options, len(rows), chosen), head),
+        Model(cascade, scheme, placements, _summary(method, options, len(rows)), head),
         len(rows),
         tuple(problems),
     )
@@ -384,7 +369,7 @@ def _scaled(spread: Spread, factor: float) -> Spread:
     )
 
 
-def _summary(method: str, options: Options, faces: int, chosen: Sequence[Choice]) -> dict[str, Any]:
+def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
     told_elsewhere = ("descriptor", "frame", "haar", "head")
     made = {key: value for key, value in asdict(options).items() if key not in told_elsewhere}
@@ -393,11 +378,4 @@ def _summary(method: str, options: Options, faces: int, chosen: Sequence[Choice]
     head = {}
     if METHODS[method].in_3d:
         head = {"head": Path(options.head).name, "head_source": load_head(options.head).source}
-    tuned = {}
-    if options.tune:
-        tuned["chosen"] = {
-            "windows": [round(step.window, 4) for step in chosen],
-            "ridge": [step.ridge for step in chosen],
-            "variance": [round(step.share * options.variance, 4) for step in chosen],
-        }
-    return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists, **tuned, **head}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **made, **lists, **head}

@@ -1,12 +1,9 @@
 """Which faces training takes, and what it says of the others; what it learns is tested through the commands."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from drawn_heads import OPTIONS
 
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError
@@ -39,18 +36,3 @@ def test_labels_on_a_line_are_left_out_and_reported() -> None:
 def test_faces_without_landmarks_are_no_training_data() -> None:
     with pytest.raises(InputError, match="expected faces with landmarks to learn from"):
         train([record("a", np.zeros((0, 2)))] * 3, NO_LANDMARKS)
-
-
-def test_what_is_tuned_is_chosen_around_what_is_given_and_recorded(heads: list[FaceRecord]) -> None:
-    made = train(heads, AFLW21, options=replace(OPTIONS, ridge=30.0, tune=2)).model.training
-    assert (made["tune"], made["windows"], made["ridge"]) == (2, [0.6, 0.4], 30.0)
-    chosen = made["chosen"]
-    assert set(np.round(np.divide(chosen["windows"], made["windows"]), 3)) <= {0.8, 1.0, 1.25}
-    assert chosen["ridge"][0] < 30.0  # which is too strong for drawings without noise
-    assert all(0.7 < share <= made["variance"] for share in chosen["variance"])
-
-
-@pytest.mark.parametrize("options", [{"tune": 1}, {"tune": -2}, {"tune": 3, "ridge": 0.0}])
-def test_tuning_without_parts_to_choose_by_is_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(InputError, match="tune 0, or 2 or more with a ridge > 0"):
-        replace(OPTIONS, **options)

@@ -2,22 +2,18 @@
 
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import partial, reduce
-from math import prod
-from operator import add
-from typing import IO, NamedTuple
+from dataclasses import dataclass
+from functools import partial
 
 import jax
 import numpy as np
 from jax import lax, random, vmap
 from jax import numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, UInt8
+from jaxtyping import Array, Bool, Float, UInt8
 
 from jaxfit.cascade.fit import State, advanced, features_of, state_of, step_to, target_of
 from jaxfit.cascade.model import Cascade, Regressor
-from jaxfit.cascade.regression import Moments, Projection, explained, main_directions, principal_axes, solve
+from jaxfit.cascade.regression import Moments, Projection, main_directions, principal_axes, solve
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
@@ -28,10 +24,6 @@ from jaxfit.types import Point, Scalar
 _BATCH = 2048
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
 _PCA_SAMPLES = 3072
-# What is tried at each step, if that is asked for: factors on the window and the ridge, and shares of the components.
-_WINDOWS = (0.8, 1.0, 1.25)
-_RIDGES = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)
-_SHARES = (1.0, 0.95, 0.9, 0.8)
 
 Progress = Callable[[str, int, int], None]
 
@@ -89,63 +81,8 @@ def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"
     return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
-@dataclass(frozen=True)
-class Choice:
-    """What a step is solved with.
-
-    Attributes:
-        window: side of the descriptor window, as a share of the canonical face's side.
-        ridge: ridge strength, relative to the mean variance of a kept component.
-        share: of the kept components' variance, what is used.
-    """
-
-    window: float
-    ridge: float
-    share: float = 1.0
-
-
-class _Observed(NamedTuple):
-    """What a step has seen with one window.
-
-    Attributes:
-        choice: the best with this window.
-        gain: by how much it brings unseen landmarks nearer, in square pixels a sample; 0 if it was given.
-        projection: the principal axes.
-        moments: of the principal components and the steps of all samples.
-        components: a file of the principal components, batch by batch.
-    """
-
-    choice: Choice
-    gain: float
-    projection: Projection
-    moments: Moments
-    components: IO[bytes]
-
-
-def _effect(space: ShapeSpace, frame: Frame) -> Float[Array, "params coordinates"]:
-    """How the landmarks of the mean face move with each parameter's step, in pixels."""
-    params = space.place(Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.zeros(())))
-    moved = jax.jacfwd(lambda step: space.landmarks(space.advance(params, step)).ravel())
-    return moved(jnp.zeros(space.size)).T
-
-
-def _best_choice(
-    given: Choice, parts: list[Moments], effect: Float[Array, "params coordinates"]
-) -> tuple[Choice, float]:
-    """The best of the choices around a given one, by what regressors from all parts but one explain of that one; and
-    how much that is, in square pixels a sample, summed over the landmarks."""
-    choices = [replace(given, ridge=given.ridge * factor, share=share) for factor in _RIDGES for share in _SHARES]
-    ridges, shares = (jnp.array([getattr(each, name) for each in choices]) for name in ("ridge", "share"))
-    total = jnp.zeros(len(choices))
-    for number, part in enumerate(parts):
-        others = reduce(add, (other for n, other in enumerate(parts) if n != number))
-        total += explained(others, part, ridges, shares, effect)
-    best = int(jnp.argmax(total))
-    return choices[best], float(total[best] / sum(float(part.count) for part in parts))
-
-
-def _solved(moments: Moments, choice: Choice, rank: int | None) -> Regressor:
-    weights, bias = solve(moments, jnp.float32(choice.ridge), jnp.float32(choice.share))
+def _solved(moments: Moments, ridge: Scalar, rank: int | None) -> Regressor:
+    weights, bias = solve(moments, ridge)
     if rank is None or rank >= weights.shape[1]:
         return Regressor(weights, bias, None)
     directions = main_directions(moments, weights, rank)
@@ -247,8 +184,6 @@ def train_cascade(
     rank: int | None = None,
     seed: int,
     turn: float = 0.0,
-    folds: Int[np.ndarray, "faces"] | None = None,
-    chosen: Callable[[Choice], None] = lambda choice: None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Cascade:
     """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
@@ -270,14 +205,10 @@ def train_cascade(
         rank: how many directions each step is taken along, those in which what it predicts varies most; None: all.
         seed: of the starts; the same seed, machine and number of cores give the same bits.
         turn: by how many radians more, at most, the starts are turned, evenly in both directions.
-        folds: the part that each face is in, 0, 1 …, for cross-validation: each step then takes that window, ridge and
-            share of the components around those given by which the steps of unseen parts are told best. None takes
-            what is given.
-        chosen: called with what each step is solved with.
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
-        InputError: an option out of range, no faces, or fewer than two parts.
+        InputError: an option out of range, or no faces.
     """
     # Worded so that NaN is refused, too.
     possible = windows and all(window > 0 for window in windows) and augmentations >= 1 and ridge >= 0
@@ -289,30 +220,22 @@ def train_cascade(
             f"{len(faces.source)} faces"
         )
     count = len(faces.source)
-    of_parts = np.zeros(count, int) if folds is None else np.asarray(folds)
-    numbers = np.unique(of_parts)
-    if of_parts.shape != (count,) or (folds is not None and len(numbers) < 2):
-        raise InputError(f"expected the part of each of {count} faces, two parts or more; got {numbers.tolist()}")
     size = max(1, min(_BATCH // augmentations, count))
-    # Of one part each, so that their moments can be told apart.
-    batched = [
-        (part, rows[first : first + size])
-        for part, rows in enumerate(np.flatnonzero(of_parts == number) for number in numbers)
-        for first in range(0, len(rows), size)
-    ]
+    total = -(-count // size)
     keys = random.split(random.key(seed), count + 1)
     targets = _targets(descriptor, space, jnp.asarray(faces.landmarks, jnp.float32))
     states = np.empty((count, augmentations, space.size), np.float32)
     angles = np.empty((count, augmentations), np.float32)
-    regressors: list[Regressor] = []
-    sides: list[float] = []
+    regressors = []
 
-    def batches(stage: str) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-        """The number of a part, numbers of its faces, and which of them do not merely fill the batch."""
-        for done, (part, rows) in enumerate(batched):
-            progress(stage, done, len(batched))
-            yield part, np.resize(rows, size), np.arange(size) < len(rows)
-        progress(stage, len(batched), len(batched))
+    def batches(stage: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Face numbers, and which of them do not merely fill the last batch."""
+        for done in range(total):
+            progress(stage, done, total)
+            rows = np.arange(done * size, (done + 1) * size)
+            valid, rows = rows < count, np.minimum(rows, count - 1)
+            yield rows, valid
+        progress(stage, total, total)
 
     def taken(rows: np.ndarray) -> State:
         return State(jnp.asarray(states[rows]), jnp.asarray(angles[rows]))
@@ -337,22 +260,7 @@ def train_cascade(
             seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
         return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
 
-    def observe(stage: str, share: float, components: IO[bytes]) -> _Observed:
-        """What is seen in windows of this share of the face's side; the principal components go to a file."""
-        window = jnp.float32(share * frame.face)
-        projection = project(f"{stage}: PCA", window)
-        parts = [Moments.empty(projection.axes.shape[1], space.size) for _ in numbers]
-        for part, rows, valid in batches(f"{stage}: features"):
-            steps = _steps_to(space, State(targets.params[rows], targets.angle[rows]), taken(rows))
-            features = described(rows, window)
-            parts[part], reduced = _observe(projection, parts[part], features, steps, jnp.asarray(valid))
-            components.write(np.asarray(reduced).tobytes())
-        given, gain = Choice(share, ridge), 0.0
-        if folds is not None:
-            given, gain = _best_choice(given, parts, _effect(space, frame))
-        return _Observed(given, gain, projection, reduce(add, parts), components)
-
-    for _, rows, _ in batches("drawing starts"):
+    for rows, _ in batches("drawing starts"):
         pivots = jnp.asarray(faces.pivots[rows])
         put(
             rows,
@@ -360,33 +268,28 @@ def train_cascade(
         )
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
-        tried = [share] if folds is None else [share * factor for factor in _WINDOWS]
+        window = jnp.float32(share * frame.face)
+        projection = project(f"{step}: PCA", window)
+        moments = Moments.empty(projection.axes.shape[1], space.size)
         # Principal components wait on disk for the regressor: describing everything again takes much longer.
-        with ExitStack() as files:
-            seen = [
-                observe(
-                    step if folds is None else f"{step}, window {each:.2f}",
-                    each,
-                    files.enter_context(tempfile.TemporaryFile()),
-                )
-                for each in tried
-            ]
-            best = max(seen, key=lambda observed: observed.gain)
-            chosen(best.choice)
-            regressor = _solved(best.moments, best.choice, rank)
-            regressors.append(jax.tree.map(np.asarray, _unfolded(best.projection, regressor)))
-            sides.append(best.choice.window)
-            best.components.seek(0)
-            for _, rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
-                shape = (size, augmentations, best.projection.axes.shape[1])
-                reduced = np.frombuffer(best.components.read(4 * prod(shape)), np.float32).reshape(shape)
+        with tempfile.TemporaryFile() as components:
+            for rows, valid in batches(f"{step}: features"):
+                steps = _steps_to(space, State(targets.params[rows], targets.angle[rows]), taken(rows))
+                features = described(rows, window)
+                moments, reduced = _observe(projection, moments, features, steps, jnp.asarray(valid))
+                components.write(np.asarray(reduced).tobytes())
+            regressor = _solved(moments, jnp.float32(ridge), rank)
+            regressors.append(jax.tree.map(np.asarray, _unfolded(projection, regressor)))
+            components.seek(0)
+            for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():
+                reduced = np.frombuffer(components.read(reduced.nbytes), np.float32).reshape(reduced.shape)
                 put(rows, _advance(descriptor, space, taken(rows), regressor.predict(jnp.asarray(reduced))))
     directions = [each.directions for each in regressors if each.directions is not None]
     return Cascade(
         space=space,
         weights=tuple(jnp.asarray(each.weights) for each in regressors),
         biases=jnp.asarray(np.stack([each.bias for each in regressors])),
-        windows=jnp.asarray(sides, jnp.float32) * frame.face,
+        windows=jnp.asarray(windows, jnp.float32) * frame.face,
         descriptor=descriptor,
         frame=frame,
         directions=jnp.asarray(np.stack(directions)) if directions else None,

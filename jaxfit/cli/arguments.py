@@ -161,14 +161,6 @@ def add_training(command: argparse.ArgumentParser) -> None:
     )
     add_head(command)
     add_initialisations(command, "how many starts fitting shall use; with several, starts are turned in training, too")
-    command.add_argument(
-        "--tune",
-        type=int,
-        default=_DEFAULT.tune,
-        metavar="FOLDS",
-        help="parts of the people, by which each step's window, ridge and share of variance are chosen around "
-        "those given; takes some four times as long; 0 takes them as given",
-    )
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument(
@@ -261,7 +253,6 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,
         head=arguments.head,
-        tune=arguments.tune,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
         haar=not arguments.no_haar,
         seed=arguments.seed,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from jaxfit.cascade.regression import Moments, explained, main_directions, principal_axes, solve
+from jaxfit.cascade.regression import Moments, main_directions, principal_axes, solve
 from jaxfit.exceptions import InputError
 
 SAMPLES, FEATURES, PARAMS = 80, 6, 3
@@ -31,7 +31,7 @@ def assert_same(a, b):
 
 def test_plain_least_squares_is_lstsq_with_an_intercept():
     x, y = samples()
-    weights, bias = solve(moments(x, y), jnp.float32(0), jnp.float32(1))
+    weights, bias = solve(moments(x, y), jnp.float32(0))
     tall = np.concatenate([x, np.ones((SAMPLES, 1))], 1).astype(np.float64)
     expected = np.linalg.lstsq(tall, y.astype(np.float64), rcond=None)[0]
     np.testing.assert_allclose(weights, expected[:-1], atol=2e-4)
@@ -41,7 +41,7 @@ def test_plain_least_squares_is_lstsq_with_an_intercept():
 @pytest.mark.parametrize("ridge", [0.01, 0.5, 100.0])
 def test_ridge_is_the_closed_form_with_a_free_intercept(ridge):
     x, y = samples()
-    weights, bias = solve(moments(x, y), jnp.float32(ridge), jnp.float32(1))
+    weights, bias = solve(moments(x, y), jnp.float32(ridge))
     centred_x, centred_y = (a.astype(np.float64) - a.mean(0, dtype=np.float64) for a in (x, y))
     covariance = centred_x.T @ centred_x / SAMPLES
     penalty = ridge * np.trace(covariance) / FEATURES * np.eye(FEATURES)
@@ -54,7 +54,7 @@ def test_ridge_is_the_closed_form_with_a_free_intercept(ridge):
 def test_along_the_main_directions_predictions_come_nearest_to_all(rank):
     # Of all predictions of that rank, the ones that numpy's singular vectors give are nearest (Eckart and Young).
     x, y = samples()
-    weights, _ = solve(moments(x, y), jnp.float32(0.1), jnp.float32(1))
+    weights, _ = solve(moments(x, y), jnp.float32(0.1))
     predicted = (x - x.mean(0)).astype(np.float64) @ np.asarray(weights, np.float64)
     left, values, right = np.linalg.svd(predicted, full_matrices=False)
     directions = np.asarray(main_directions(moments(x, y), weights, rank))
@@ -68,59 +68,26 @@ def test_dependent_features_share_the_weight(ridge):
     # Repeated and constant features: of all solutions the one of least norm, as numpy's.
     x, y = samples()
     deficient = np.concatenate([x, x[:, :2], np.full((SAMPLES, 1), 0.7, np.float32)], 1)
-    weights, bias = solve(moments(deficient, y), jnp.float32(ridge), jnp.float32(1))
+    weights, bias = solve(moments(deficient, y), jnp.float32(ridge))
     assert np.isfinite(weights).all()
     np.testing.assert_allclose(weights[:2], weights[FEATURES : FEATURES + 2], atol=1e-3)
     np.testing.assert_allclose(weights[-1], 0, atol=1e-3)
     if ridge == 0:
-        plain_weights, plain_bias = solve(moments(x, y), jnp.float32(0), jnp.float32(1))
+        plain_weights, plain_bias = solve(moments(x, y), jnp.float32(0))
         np.testing.assert_allclose(deficient @ weights + bias, x @ plain_weights + plain_bias, atol=1e-3)
 
 
 def test_fewer_samples_than_features():
     x, y = samples(features=FEATURES + 3)
-    weights, bias = solve(moments(x[:5], y[:5]), jnp.float32(0), jnp.float32(1))
+    weights, bias = solve(moments(x[:5], y[:5]), jnp.float32(0))
     np.testing.assert_allclose(x[:5] @ weights + bias, y[:5], atol=1e-2)
 
 
 def test_features_that_never_change_predict_the_mean():
     _, y = samples()
-    weights, bias = solve(moments(np.zeros((SAMPLES, FEATURES), np.float32), y), jnp.float32(0.5), jnp.float32(1))
+    weights, bias = solve(moments(np.zeros((SAMPLES, FEATURES), np.float32), y), jnp.float32(0.5))
     np.testing.assert_array_equal(weights, 0)
     np.testing.assert_allclose(bias, y.mean(0), atol=1e-5)
-
-
-@pytest.mark.parametrize("share", [0.5, 0.8, 0.97])
-def test_a_share_of_the_variance_is_regression_on_the_first_principal_components(share):
-    x, y = samples()
-    weights, bias = solve(moments(x, y), jnp.float32(0.3), jnp.float32(share))
-    centred = x - x.mean(0, dtype=np.float64)
-    _, values, axes = np.linalg.svd(centred, full_matrices=False)
-    kept = np.argmax(np.cumsum(values**2) >= share * np.sum(values**2)) + 1
-    assert 0 < kept < FEATURES
-    penalty = 0.3 * np.sum(values[:kept] ** 2) / FEATURES
-    few = axes[:kept]
-    expected = few.T @ ((few @ centred.T @ (y - y.mean(0))) / (values[:kept, None] ** 2 + penalty))
-    np.testing.assert_allclose(weights, expected, atol=2e-4)
-    np.testing.assert_allclose(bias, y.mean(0) - x.mean(0) @ expected, atol=2e-4)
-
-
-def test_what_is_explained_of_unseen_samples_is_what_regressors_leave_of_them():
-    (x, y), (x_new, y_new) = samples(), samples(1)
-    effect = np.random.default_rng(2).normal(size=(PARAMS, 5)).astype(np.float32)
-    ridges, shares = (jnp.array(v, jnp.float32) for v in ([0.0, 0.2, 5.0, 0.2], [1.0, 1.0, 1.0, 0.8]))
-    found = explained(moments(x, y), moments(x_new, y_new), ridges, shares, effect)
-    expected = []
-    for ridge, share in zip(ridges, shares, strict=True):
-        weights, bias = solve(moments(x, y), ridge, share)
-        mean, left = (np.sum(((y_new - told) @ effect) ** 2) for told in (y.mean(0), x_new @ weights + bias))
-        expected.append(mean - left)
-    np.testing.assert_allclose(found, expected, rtol=1e-3)
-
-
-def test_moments_of_parts_add_up():
-    x, y = samples()
-    assert_same(moments(x[:30], y[:30]) + moments(x[30:], y[30:]), moments(x, y))
 
 
 def test_moments_of_batches_are_the_moments_of_all():

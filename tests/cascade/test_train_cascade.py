@@ -15,7 +15,6 @@ from jaxfit.cascade.train import Spread, TrainingSet, sample_starts, train_casca
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
-from jaxfit.shapes.space import Start
 
 COUNT = 40
 CROPS, LANDMARKS = blob_faces(COUNT, seed=0)
@@ -99,34 +98,6 @@ def test_few_directions_are_shared_by_all_samples_and_learn_too():
 def test_as_many_directions_as_parameters_are_all():
     assert trained(rank=SPACE.size).directions is None
     assert_same_bits(trained(rank=SPACE.size), plain())
-
-
-def test_each_step_takes_what_tells_steps_of_unseen_parts_best():
-    chosen = []
-    noisy = trained(folds=np.arange(COUNT) % 3, chosen=chosen.append, ridge=1e-4)
-    assert len(chosen) == 3
-    np.testing.assert_allclose(noisy.windows, [choice.window * FRAME.face for choice in chosen], rtol=1e-6)
-    # So weak a ridge fits the noise of 40 faces.
-    assert chosen[0].ridge > 1e-4
-    as_given = error_after(trained(ridge=1e-4), 3, NEW_CROPS, NEW_LANDMARKS)
-    assert error_after(noisy, 3, NEW_CROPS, NEW_LANDMARKS) < 0.75 * as_given
-
-
-def test_what_a_step_does_is_counted_in_pixels_of_landmarks():
-    space = shape_model_space(LANDMARKS)
-    effect = np.asarray(train._effect(space, FRAME))
-    params = space.encode(jnp.asarray(LANDMARKS[0]))
-    assert effect.shape == (space.size, LANDMARKS[0].size)
-    start = space.place(Start(jnp.asarray([FRAME.middle] * 2), jnp.float32(1), jnp.float32(0)))
-    step = 1e-3 * np.asarray(space.difference(params, start))
-    moved = space.landmarks(space.advance(start, jnp.asarray(step))) - space.landmarks(start)
-    np.testing.assert_allclose(step @ effect, np.ravel(moved), atol=2e-5)
-
-
-def test_parts_of_other_faces_are_refused():
-    for folds in (np.zeros(COUNT, int), np.arange(3)):
-        with pytest.raises(InputError, match="two parts or more"):
-            trained(folds=folds)
 
 
 def test_the_same_seed_gives_the_same_bits():
