@@ -103,7 +103,7 @@ def test_json_of_it_makes_the_same(text: str) -> None:
             "[methods.sdm]\n[methods.b-sdm]\nmethod = 'sdm'\n[datasets.faces-b]\ndata = ['pts:c']",
             "joined by '-': two are called faces-b-sdm",
         ),
-        ('"pointing04:c"', '"pointing:c"', r"\[pose\] test: expected FORMAT one of pts, .*; got pointing:c"),
+        ('"pointing04:c"', '"pointing:c"', r"\[pose\] test: expected a dataset as .* one of pts, .*; got .pointing:c"),
         ("[methods.sdm]", "[methods]\nsdm = 3", r"expected a table, \[methods.sdm\]; got sdm = 3"),
         ("sigmas = 3", "sigmas = 'x'", r"\[methods.narrow\] sigmas: expected a number; got 'x'"),
         (
