@@ -1,0 +1,52 @@
+"""Split folders of pictures with ``.pts`` labels into ``train`` and ``test``, by person, as links to the files.
+
+The figures of ``docs/`` that name ``train/…`` and ``test/…`` are of folders made by this script.
+"""
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, seed
+from jaxfit.cli.main import exit_code
+from jaxfit.data.datasets import parse_spec
+from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.exceptions import InputError
+
+LABELS = ("pts", "pts0")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_datasets(parser)
+    parser.add_argument("--folds", type=int, default=5, help="one of so many parts of the people is for testing")
+    parser.add_argument("--fold", type=int, default=0, help="which (default: 0)")
+    parser.add_argument("--seed", type=seed, default=0, help="of the split (default: 0)")
+    parser.add_argument("--out", required=True, metavar="DIR", help="where train and test go")
+    return exit_code(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace) -> int:
+    if not 0 <= arguments.fold < arguments.folds:
+        raise InputError(f"--fold: expected one of 0 to {arguments.folds - 1}; got {arguments.fold}")
+    for dataset in read_datasets(arguments.data, arguments.scheme):
+        kind, _, path = parse_spec(dataset.spec)
+        if kind not in LABELS:
+            raise InputError(f"expected datasets of the formats {', '.join(LABELS)}; got {dataset.spec}")
+        parts = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed)
+        counts = dict.fromkeys(("train", "test"), 0)
+        for face, part in zip(dataset.faces, parts, strict=True):
+            name = "test" if part == arguments.fold else "train"
+            folder = out_folder(Path(arguments.out) / name / Path(path).name)
+            for file in (face.image, face.image.with_suffix(".pts")):
+                link = folder / file.name
+                link.unlink(missing_ok=True)
+                os.symlink(file.resolve(), link)
+            counts[name] += 1
+        print(f"{dataset.spec}: {counts['train']} faces to train, {counts['test']} to test")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
