@@ -15,7 +15,8 @@ from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.detectors import DETECTORS, OF_FILES
 from jaxfit.data.records import Dataset
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
-from jaxfit.descriptors.sift import NORMALISATIONS, ORIENTATIONS
+from jaxfit.descriptors.normalise import NORMALISATIONS
+from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.exceptions import InputError
 from jaxfit.models.files import SUFFIX
 from jaxfit.models.model import SQUARE, Model
@@ -175,7 +176,7 @@ def add_training(command: argparse.ArgumentParser) -> None:
         help="of windows; unless said otherwise they turn with the face, but are upright for sdm from a single start; "
         "in upright ones turned faces are not found",
     )
-    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of sift; vector unless said otherwise")
+    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of descriptors; vector unless said otherwise")
     command.add_argument("--crop", type=int, help="side of the crops, in pixels; unless given it suits the descriptor")
     command.add_argument("--face", type=float, help="side of the face in them, in pixels; unless given, likewise")
     command.add_argument(

@@ -6,7 +6,7 @@ from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
 
 # What model files, experiments and the command line call them; a new one, as `Descriptor` asks for, is a line here.
-DESCRIPTORS = {"sift": Sift, "dense": Dense}
+DESCRIPTORS: dict[str, type[Sift] | type[Dense]] = {"sift": Sift, "dense": Dense}
 
 
 def descriptor_like(usual: Descriptor, kind: str) -> Descriptor:

@@ -8,7 +8,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
-from jaxfit.descriptors.normalise import unit_length
+from jaxfit.descriptors.normalise import NORMALISATIONS, require_choices
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import split
@@ -60,13 +60,14 @@ class Dense:
 
     Attributes:
         orientation: ``"upright"`` keeps the picture's axes; ``"face"`` turns the window with the face.
+        normalisation: as `Sift` has it.
     """
 
     orientation: Literal["upright", "face"] = "upright"
+    normalisation: Literal["cell", "root", "vector"] = "vector"
 
     def __post_init__(self) -> None:
-        if self.orientation not in ORIENTATIONS:
-            raise InputError(f"expected an orientation among {', '.join(ORIENTATIONS)}; got {self.orientation!r}")
+        require_choices(self.orientation, ORIENTATIONS, self.normalisation)
 
     @property
     def frame(self) -> Frame:
@@ -120,8 +121,8 @@ class Dense:
         return jnp.matmul(found, turned_bins(angle)) if self.turns else found
 
     def normalise(self, histograms: Histograms) -> Features:
-        """As one vector of Euclidean length 1."""
-        return unit_length(histograms)
+        """As one vector."""
+        return NORMALISATIONS[self.normalisation](histograms)
 
 
 def gradients(crop: Crop) -> tuple[Differences, Differences]:

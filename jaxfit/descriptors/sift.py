@@ -9,8 +9,7 @@ from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxfit.descriptors.normalise import unit_cells, unit_length
-from jaxfit.exceptions import InputError
+from jaxfit.descriptors.normalise import NORMALISATIONS, require_choices
 from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import Packed, bilinear, bilinear_grid, pack
 from jaxfit.image.smoothing import smooth
@@ -21,7 +20,6 @@ CELLS = 4
 BINS = 8
 ORIENTATION_BINS = 36
 ORIENTATIONS = ("upright", "face", "principal")
-NORMALISATIONS = ("cell", "vector")
 _WEIGHT_SIGMA = SAMPLES / 2
 _OFFSETS = np.arange(SAMPLES) - (SAMPLES - 1) / 2
 _FRAMED = np.arange(-1, SAMPLES + 1) - (SAMPLES - 1) / 2  # one sample more on each side, for central differences
@@ -54,18 +52,14 @@ class Sift:
             face, by the rotation of its current state; ``"principal"`` turns it by the landmark's principal gradient
             orientation (thesis 3.1), which turns with the face, too.
         normalisation: ``"cell"`` makes each cell's histogram sum to 1 (thesis 3.1); ``"vector"`` gives the whole
-            vector Euclidean length 1 (Lowe).
+            vector Euclidean length 1 (Lowe); ``"root"`` takes roots of the bins' shares (RootSIFT).
     """
 
     orientation: Literal["upright", "face", "principal"] = "upright"
-    normalisation: Literal["cell", "vector"] = "vector"
+    normalisation: Literal["cell", "root", "vector"] = "vector"
 
     def __post_init__(self) -> None:
-        if self.orientation not in ORIENTATIONS or self.normalisation not in NORMALISATIONS:
-            raise InputError(
-                f"expected an orientation among {', '.join(ORIENTATIONS)} and normalisation 'cell' or 'vector'; got "
-                f"{self.orientation!r} and {self.normalisation!r}"
-            )
+        require_choices(self.orientation, ORIENTATIONS, self.normalisation)
 
     @property
     def frame(self) -> Frame:
@@ -116,7 +110,7 @@ class Sift:
 
     def normalise(self, histograms: Float[Array, "16 8"]) -> Features:
         """As one vector of length 128; what is empty stays zero."""
-        return unit_length(histograms) if self.normalisation == "vector" else unit_cells(histograms)
+        return NORMALISATIONS[self.normalisation](histograms)
 
     def window_angle(self, prepared: Prepared, point: Point, side: Scalar, angle: Scalar) -> Scalar:
         """How far the window of ``describe`` is turned, in radians, clockwise as seen."""

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jax import lax, random
 from jax import numpy as jnp
-from jax import random
 from jaxtyping import Array, Float
 
 from jaxfit.exceptions import InputError
@@ -101,6 +101,8 @@ def _blurred(key: Array, picture: Picture, share: float) -> Picture:
     amount, whether = random.uniform(key, (2,))
     times = jnp.where(whether < share, _BLURS * amount, 0.0)
     for done in range(_BLURS):
+        # One after the other, lest what leads to a pixel is computed again for each of its neighbours.
+        picture = lax.optimization_barrier(picture)
         picture = picture + jnp.clip(times - done, 0.0, 1.0) * (_smoothed(picture) - picture)
     return picture
 

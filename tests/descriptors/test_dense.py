@@ -18,14 +18,14 @@ SMALL, LARGE = 12.0, 24.0  # windows that are looked up in the fine map, and in 
 
 
 @cache
-def describer(orientation="upright"):
-    dense = Dense(orientation)
+def describer(orientation="upright", normalisation="vector"):
+    dense = Dense(orientation, normalisation)
     return jax.jit(lambda crop, *where: describe_point(dense, dense.prepare(crop), *where))
 
 
-def describe(crop, point=(MIDDLE, MIDDLE), side=SMALL, orientation="upright", angle=0.0):
+def describe(crop, point=(MIDDLE, MIDDLE), side=SMALL, orientation="upright", angle=0.0, normalisation="vector"):
     where = np.float32(point), np.float32(side), np.float32(angle)
-    return np.asarray(describer(orientation)(crop, *where))
+    return np.asarray(describer(orientation, normalisation)(crop, *where))
 
 
 def textured(seed=0, low=0.0, high=255.0, sigma=2):
@@ -68,11 +68,18 @@ def test_is_a_descriptor_of_vectors_of_length_one():
     assert (vector >= 0).all()
 
 
+def test_roots_are_those_of_the_shares():
+    vector, roots = describe(textured()), describe(textured(), normalisation="root")
+    np.testing.assert_allclose(roots, np.sqrt(vector / vector.sum()), atol=0.011)
+    assert np.linalg.norm(roots) == pytest.approx(1, abs=0.1)
+
+
 @pytest.mark.parametrize("orientation", ["upright", "face"])
+@pytest.mark.parametrize("normalisation", ["cell", "root", "vector"])
 @pytest.mark.parametrize("value", [0, 1, 200, 255])
-def test_a_flat_picture_has_an_empty_descriptor(orientation, value):
+def test_a_flat_picture_has_an_empty_descriptor(orientation, normalisation, value):
     crop = np.full((SIZE, SIZE), value, np.uint8)
-    np.testing.assert_array_equal(describe(crop, (20.3, 40.1), 14.0, orientation, 0.3), 0)
+    np.testing.assert_array_equal(describe(crop, (20.3, 40.1), 14.0, orientation, 0.3, normalisation), 0)
 
 
 def test_contrast_and_brightness_do_not_matter():
@@ -112,9 +119,9 @@ def test_turned_windows_see_nearly_the_same_at_any_angle(degrees):
     assert seen @ before > describe(turned, side=LARGE) @ before + 0.05
 
 
-@pytest.mark.parametrize("orientation", ["upright", "face"])
-def test_gradients_are_finite_and_alive(orientation):
-    dense = Dense(orientation)
+@pytest.mark.parametrize(("orientation", "normalisation"), [("upright", "vector"), ("face", "root")])
+def test_gradients_are_finite_and_alive(orientation, normalisation):
+    dense = Dense(orientation, normalisation)
     weights = np.random.default_rng(0).normal(size=dense.size).astype(np.float32)
     gradients = jax.jit(jax.grad(lambda *inputs: describe_point(dense, *inputs) @ weights, (0, 1, 2, 3)))
     for crop in (textured(), np.full((SIZE, SIZE), 200, np.uint8)):

@@ -16,7 +16,7 @@ from jaxfit.image.sampling import pack
 
 SIZE = 80
 MIDDLE = (SIZE - 1) / 2
-OPTIONS = [(o, n) for o in ("upright", "face", "principal") for n in ("cell", "vector")]
+OPTIONS = [(o, n) for o in ("upright", "face", "principal") for n in ("cell", "root", "vector")]
 
 
 @cache
@@ -93,7 +93,10 @@ def test_a_flat_picture_has_an_empty_descriptor(orientation, normalisation, poin
         np.testing.assert_array_equal(describe(crop, point, 24, orientation, normalisation), 0)
 
 
-@pytest.mark.parametrize(("orientation", "normalisation"), [("upright", "cell"), ("principal", "vector")])
+SOME_OPTIONS = [("upright", "cell"), ("principal", "vector"), ("face", "root")]
+
+
+@pytest.mark.parametrize(("orientation", "normalisation"), SOME_OPTIONS)
 def test_gradients_are_finite_and_alive(orientation, normalisation):
     sift = Sift(orientation, normalisation)
     weights = np.random.default_rng(0).normal(size=sift.size).astype(np.float32)
