@@ -38,7 +38,7 @@ def run(arguments: argparse.Namespace) -> int:
         counts = dict.fromkeys(("train", "test"), 0)
         for face, part in zip(dataset.faces, parts, strict=True):
             name = "test" if part == arguments.fold else "train"
-            folder = out_folder(Path(arguments.out) / name / Path(path).name)
+            folder = out_folder(str(Path(arguments.out, name, Path(path).name)))
             for file in (face.image, face.image.with_suffix(".pts")):
                 link = folder / file.name
                 link.unlink(missing_ok=True)
