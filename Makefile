@@ -1,14 +1,18 @@
-# `make demo` fits a portrait; `make test` runs every check. Both start from nothing but Python 3.11+ and make.
+# `make demo` fits a portrait; `make docs` builds the site; `make test` runs every check. All start from nothing but Python 3.11+ and make.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PORTRAIT = $(shell $(BIN)/python -c "import matplotlib.cbook as c; print(c.get_sample_data('grace_hopper.jpg', asfileobj=False))")
 
-.PHONY: demo test clean
+.PHONY: demo docs test clean
 
 demo: .venv/plots
 	$(BIN)/jaxfit fit "$(PORTRAIT)" --out demo
 	@echo "Look at demo/overlays/grace_hopper.jpg"
+
+docs: .venv/docs
+	$(BIN)/sphinx-build --fail-on-warning --quiet docs build/site
+	@echo "Open build/site/index.html"
 
 test: .venv/dev
 	$(BIN)/ruff check .

@@ -140,6 +140,7 @@ def run(arguments: argparse.Namespace) -> int:
         figure.savefig(file, format="png", dpi=150)
     text = "\n\n".join(
         [
+            "# Benchmark",
             f"{made_with()} 1-minute load average when it began: {load_before:.2f}. "
             f"Warm; medians of {arguments.repetitions}, from files of {min(3, arguments.repetitions)}; first results "
             f"of {FIRSTS} processes, one after the other.",

@@ -56,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     models = named_models(arguments.models)
     folder = out_folder(arguments.out)
     parts = [
+        f"# Head pose: {folder.name}",
         f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
         "count in the median.",
     ]

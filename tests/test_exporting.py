@@ -322,10 +322,11 @@ def test_other_files_are_refused(good: bytes, refusal, tmp_path: Path) -> None:
             jaxfit.load_exported(missing)
 
 
-def test_later_formats_and_other_versions_of_jax_say_what_to_do(good: bytes, refusal, monkeypatch) -> None:
-    words = refusal(repacked(good, header_of(good) | {"format": 2}))
-    assert "exported model format 2, but this release reads format 1" in words
-    assert "or export it again" in words
+def test_other_formats_and_versions_of_jax_say_what_to_do(good: bytes, refusal, monkeypatch) -> None:
+    for version in (0, 2):
+        words = refusal(repacked(good, header_of(good) | {"format": version}))
+        assert f"exported model format {version}, but this release reads format 1" in words
+        assert "or export it again" in words
     convention = header_of(good)["calling_convention"]
     monkeypatch.setattr(export, "maximum_supported_calling_convention_version", convention - 1)
     words = refusal(good)

@@ -19,7 +19,8 @@ from jaxfit.shapes.conversions import convert
 from jaxfit.shapes.schemes import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in ("command-line", "training", "python"))]
+GUIDES = ("index", "command-line", "training", "python")
+PAGES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in GUIDES)]
 # What needs an installer or would run these very tests again; the Makefile's targets are looked up instead.
 NOT_RUN = {"pip install .", "make test"}
 
@@ -28,7 +29,9 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
-COMMANDS = [line for page in PAGES for block in blocks(page, "bash") for line in block.strip().splitlines()]
+COMMANDS = list(
+    dict.fromkeys(line for page in PAGES for block in blocks(page, "bash") for line in block.strip().splitlines())
+)
 
 
 @pytest.fixture(scope="module")

@@ -291,9 +291,11 @@ def test_numbers_of_another_type_are_refused(good, loaded):
         assert "16- or 32-bit numbers" in loaded(repacked(good, biases=np.ones((2, 4), kind)))
 
 
-def test_a_later_format_says_what_to_do(good, loaded):
-    words = loaded(repacked(good, lambda header: header.update(format=999)))
-    assert "model format 999, but this release reads format 1" in words
+@pytest.mark.parametrize("version", [0, 999])
+def test_an_older_or_later_format_says_what_to_do(good, loaded, version):
+    words = loaded(repacked(good, lambda header: header.update(format=version)))
+    assert f"model format {version}, but this release reads format 1" in words
+    assert "use the release it was made with, or train it again" in words
 
 
 def test_other_safetensors_files_are_refused(loaded):
