@@ -65,6 +65,10 @@ class Exported:
     programs: dict[int, Callable[[np.ndarray, dict[str, jax.Array]], dict[str, jax.Array]]]
     arrays: dict[str, jax.Array]
 
+    def __repr__(self) -> str:
+        crops = f"{self.frame.crop} x {self.frame.crop} crops"
+        return f"<exported jaxfit model: {', '.join(self.outputs)} of {self.scheme.name} in {crops}>"
+
     def __call__(self, crops: ArrayLike) -> dict[str, np.ndarray]:
         """What is found in any number of crops, as ``outputs`` says; not finite where a fit diverged.
 

@@ -124,7 +124,7 @@ def words_of(command: str) -> list[str]:
     """The command as this Python runs it."""
     program, *rest = shlex.split(command)
     if program == "jaxfit":
-        return [sys.executable, "-m", "jaxfit.cli.main", *rest]
+        return [sys.executable, "-m", "jaxfit", *rest]
     return [sys.executable, str(SCRIPTS / Path(program).name), *rest]
 
 

@@ -39,6 +39,13 @@ class Model:
         if SQUARE not in self.placements:
             raise InputError(f"a model needs the placement of {SQUARE!r} boxes; got {sorted(self.placements)}")
 
+    def __repr__(self) -> str:
+        # Not the arrays, which would fill a notebook's page.
+        knows = [f"{self.scheme.count} landmarks ({self.scheme.name})"]
+        knows += ["3D shape and pose"] * (self.solid is not None) + ["confidence"] * (self.confidence is not None)
+        how = f"{self.training.get('method', 'trained')} in {len(self.cascade.weights)} steps"
+        return f"<jaxfit model: {', '.join(knows)}; {how} on {self.cascade.descriptor}>"
+
     @property
     def solid(self) -> CameraASM | None:
         """The shape space of the model's 3D results; None if it has none."""

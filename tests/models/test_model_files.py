@@ -376,6 +376,13 @@ def test_bundled_models_load():
         assert (found.head is not None) == (found.training["method"] == "alignment3d")
 
 
+def test_a_model_says_what_it_is_in_a_line():
+    said = repr(load("face68-3d"))
+    assert len(said.splitlines()) == 1
+    assert len(said) < 200
+    assert "68 landmarks (ibug68), 3D shape and pose, confidence; regression3d in 6 steps" in said
+
+
 def test_files_from_before_heads_still_load(good, loaded):
     # What they hold is what those of 2D models hold now.
     assert not any(name.startswith("head") for name in unpack(good))
