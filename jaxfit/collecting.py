@@ -5,8 +5,8 @@ import logging
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,7 +31,7 @@ def fit_collection(
     fitter: BatchFitter | None = None,
     *,
     workers: int | None = None,
-    gpus: float = 0,
+    gpus: float = 0.0,
     part: int = 256,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> dict[str, int]:
@@ -58,8 +58,8 @@ def fit_collection(
 
     Returns:
         How many pictures of the manifest have each outcome: ``fitted``, ``none`` where no face was found, ``problem``,
-        and ``missing``, which are in no part because their workers died again and again, and come first when the run is
-        started once more.
+        and ``missing``, which are in no part because their workers died again and again; they are tried again when the
+        run is started once more.
 
     Raises:
         InputError: Ray is not installed, or imported but not started, ``out`` holds results of other settings, or an
@@ -85,11 +85,12 @@ def fit_collection(
         done = len(wanted) - len(left)
         progress("fitting pictures", done, len(wanted))
         some = [left[first : first + part] for first in range(0, len(left), part)]
-        for fitted, error in _fit_parts(some, fitter, parts, workers, gpus):
-            if error:
-                raise JaxfitError(error)
-            done += fitted
-            progress("fitting pictures", done, len(wanted))
+        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as made:
+            for fitted, error in made:
+                if error:
+                    raise JaxfitError(error)
+                done += fitted
+                progress("fitting pictures", done, len(wanted))
     _sweep(parts)
     return _write_manifest(out / "manifest.parquet", parts, map(plain, wanted))
 
@@ -116,7 +117,7 @@ def _settings(fitter: BatchFitter) -> dict[str, Any]:
 
 def _fit_parts(
     parts: Sequence[Sequence[str]], fitter: BatchFitter, folder: Path, workers: int | None, gpus: float
-) -> Iterator[tuple[int, str]]:
+) -> Generator[tuple[int, str], None, None]:
     """Have workers make the parts; of each, in any order, the number of its pictures, and what stopped it."""
     with _ray((workers or max(1, cores() // fitter.cores)) * fitter.cores) as ray:
         logging.getLogger("ray.data").setLevel(logging.ERROR)

@@ -6,6 +6,7 @@ of all processes of a run, Ray's own among them, as they were last seen.
 """
 
 import argparse
+import signal
 import subprocess
 import sys
 import time
@@ -140,11 +141,12 @@ def _run(
 ) -> _Run:
     """Run a command; when it is due, do something to it."""
     began, used = time.monotonic(), {}
-    process = psutil.Popen(
-        [sys.executable, "-m", "jaxfit.cli.main", command, str(pictures), "--out", str(out), *options],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    with out.with_suffix(".log").open("a") as log:
+        process = psutil.Popen(
+            [sys.executable, "-m", "jaxfit.cli.main", command, str(pictures), "--out", str(out), *options],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
     family: list[psutil.Process] = []
     while process.poll() is None:
         try:
@@ -157,6 +159,8 @@ def _run(
             half(process)
             due = None
         time.sleep(_POLL)
+    if process.returncode not in (0, -signal.SIGKILL):
+        raise InputError(f"jaxfit {command} failed: see {out.with_suffix('.log')}")
     psutil.wait_procs(family[1:], timeout=60)  # Ray's processes end when they miss the one that began them
     return _Run(time.monotonic() - began, sum(used.values()), process.returncode)
 
