@@ -9,9 +9,11 @@
 
 __version__ = "0.1.0.dev0"
 
+from jaxfit.batching import BatchFitter
 from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cascade.finetune import Tuning
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
+from jaxfit.collecting import fit_collection
 from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
@@ -36,6 +38,7 @@ from jaxfit.training import Options, Trained, train
 from jaxfit.trusting import Trials, learn_confidence, try_fits
 
 __all__ = [
+    "BatchFitter",
     "DatasetError",
     "Disturbance",
     "Exported",
@@ -73,6 +76,7 @@ __all__ = [
     "find_faces",
     "finetune",
     "fit",
+    "fit_collection",
     "fit_crops",
     "fit_face",
     "fit_heads",

@@ -4,13 +4,14 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from itertools import repeat
 from pathlib import Path
 from threading import Lock
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,9 +27,12 @@ from jaxfit.models.model import SQUARE, Model
 _MOST_CORES = 8  # that are kept busy; each thread holds a picture
 _TOGETHER = 16  # faces that a thread cuts before it gives them to whoever waits
 
-Images = Sequence[np.ndarray | str | Path] | np.ndarray
-Read = Callable[[Path], np.ndarray]
+Image = np.ndarray | str | Path | bytes
+Images = Sequence[Image] | np.ndarray
+Read = Callable[[Any], np.ndarray]  # of a Path or bytes; bytes only where pictures come as such
 T = TypeVar("T")
+
+_most_cores: ContextVar[int | None] = ContextVar("most_cores", default=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,12 +154,21 @@ def require_several(images: Images) -> None:
         raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
     if isinstance(images, str | Path):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
+    if isinstance(images, bytes):
+        raise InputError(f"expected a sequence of images, got {len(images)} bytes; put them in a list")
+
+
+def pixels(image: Image, read: Read) -> np.ndarray:
+    """The pixels of a picture, read if it is a file or the bytes of one."""
+    if isinstance(image, bytes):
+        return read(image)
+    return read(Path(image)) if isinstance(image, str | Path) else image
 
 
 class _Picture:
     """A picture that is read when the first of its faces is cut, by whichever thread comes first, and not again."""
 
-    def __init__(self, image: np.ndarray | str | Path, read: Read):
+    def __init__(self, image: Image, read: Read):
         self.image, self._read = image, read
         self.source = f"{image}: " if isinstance(image, str | Path) else ""
         self._lock = Lock()
@@ -166,10 +179,10 @@ class _Picture:
         with self._lock:
             if self._grey is None:
                 try:
-                    image = self.image
-                    self._grey = to_grey(self._read(Path(image)) if isinstance(image, str | Path) else image)
+                    self._grey = to_grey(pixels(self.image, self._read))
                 except (ImageError, OSError) as error:
-                    self._grey = str(error) if str(self.image) in str(error) else f"{self.source}{error}"
+                    named = self.source and str(self.image) in str(error)
+                    self._grey = str(error) if named else f"{self.source}{error}"
             return self._grey
 
 
@@ -193,7 +206,7 @@ def _cut(faces: Faces, numbers: range, pictures: deque[_Picture]) -> CutFaces:
     return CutFaces(numbers, crops, problems, sources)
 
 
-def _same(one: np.ndarray | str | Path, other: np.ndarray | str | Path) -> bool:
+def _same(one: Image, other: Image) -> bool:
     return one is other or (isinstance(one, str | Path) and isinstance(other, str | Path) and str(one) == str(other))
 
 
@@ -225,8 +238,19 @@ def reading_threads(count: int) -> int:
 
 
 def cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many this process may use, or fewer within `at_most_cores`."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(there, _most_cores.get() or there)
+
+
+@contextmanager
+def at_most_cores(count: int) -> Iterator[None]:
+    """Fit with threads for so many cores only, where other processes have the others."""
+    token = _most_cores.set(count)
+    try:
+        yield
+    finally:
+        _most_cores.reset(token)
 
 
 def _box_array(boxes: ArrayLike, count: int) -> np.ndarray:

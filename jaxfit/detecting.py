@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cropping import Images, Read, in_order, reading_threads, require_several
+from jaxfit.cropping import Image, Images, Read, in_order, pixels, reading_threads, require_several
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, detector_named
 from jaxfit.data.images import read_image, to_eight_bits
 from jaxfit.exceptions import ImageError
 
+NO_FACE = "no face found; give face boxes, or take another detector"  # how the problem of a picture without one ends
 _TOGETHER = 4  # pictures that a thread looks at before it gives what it found to whoever waits
 
 
@@ -76,16 +77,15 @@ def find_faces(
     return Found(np.array([n for n, _ in faces], int), boxes, tuple(face.kind for _, face in faces), problems)
 
 
-def _found(find: Detector, images: Sequence[np.ndarray | str | Path], read: Read) -> list[list[Detection] | str]:
+def _found(find: Detector, images: Sequence[Image], read: Read) -> list[list[Detection] | str]:
     """The faces of each picture, or why there are none."""
     return [_found_in(find, image, read) for image in images]
 
 
-def _found_in(find: Detector, image: np.ndarray | str | Path, read: Read) -> list[Detection] | str:
+def _found_in(find: Detector, image: Image, read: Read) -> list[Detection] | str:
     source = f"{image}: " if isinstance(image, str | Path) else ""
     try:
-        picture = read(Path(image)) if isinstance(image, str | Path) else image
-        faces = find(to_eight_bits(picture))
+        faces = find(to_eight_bits(pixels(image, read)))
     except (ImageError, OSError) as error:
         return str(error) if source and str(image) in str(error) else f"{source}{error}"
-    return faces or f"{source}no face found; give face boxes, or take another detector"
+    return faces or f"{source}{NO_FACE}"

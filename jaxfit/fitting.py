@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from threading import Semaphore
 from typing import Any, NamedTuple
 
@@ -16,7 +15,18 @@ from numpy.typing import ArrayLike
 from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import ANY_ROTATION, find, start_rotations
 from jaxfit.cascade.model import Cascade
-from jaxfit.cropping import CutFaces, Faces, Images, Read, cores, cutting, faces_to_cut, in_order, reading_threads
+from jaxfit.cropping import (
+    CutFaces,
+    Faces,
+    Image,
+    Images,
+    Read,
+    cores,
+    cutting,
+    faces_to_cut,
+    in_order,
+    reading_threads,
+)
 from jaxfit.data.crops import Crops, to_image
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
 from jaxfit.data.images import read_image, read_upright
@@ -103,8 +113,9 @@ def fit(
 
     Args:
         model: from ``jaxfit.load``.
-        images: pictures: their files, which are read while others are fitted, or uint8 arrays of any sizes, (H, W)
-            grey, (H, W, 3) RGB or (H, W, 4) RGBA; for boxes of several faces in one picture give it several times.
+        images: pictures: their files, which are read while others are fitted, the bytes of such files, or uint8 arrays
+            of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; for boxes of several faces in one picture give
+            it several times.
         boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
         kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
             that a model knows stand in ``model.placements``. One for all, or N of them.
@@ -117,7 +128,8 @@ def fit(
         refine: for models of 3D alignment, adjust shape and camera together after it; slow.
         passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
             up for rough boxes. By default once from given boxes, and as suits the detector from found ones.
-        read: makes an array of a file, in threads; unless told, pictures are turned upright as their EXIF data say.
+        read: makes an array of a file, or of its bytes, in threads; unless told, pictures are turned upright as their
+            EXIF data say.
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
@@ -174,7 +186,7 @@ def _fits_of_found(
     return replace(fits, pictures=pictures[order], problems=fits.problems | why)
 
 
-class _Chosen(Sequence[np.ndarray | str | Path]):
+class _Chosen(Sequence[Image]):
     """Some of a sequence's pictures, which are taken from it when they are asked for."""
 
     def __init__(self, images: Images, numbers: np.ndarray):

@@ -26,6 +26,7 @@ GROUPS = {
         "draw_landmarks",
         "draw_head",
     ),
+    "Collections": ("fit_collection", "BatchFitter"),
     "Videos": ("track", "TrackedFrame", "TrackedFace", "Tracker", "OneEuro", "Video"),
     "The jitted function inside": ("crop_faces", "fit_crops", "fit_heads", "Heads", "fit_face"),
     "Labelled faces": (

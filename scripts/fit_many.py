@@ -45,8 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"expected a new folder; {folder} exists")
     sources = sorted({face.image for data in read_datasets(arguments.data, None) for face in data.faces})
     tenth, whole = folder / "tenth", folder / "whole"
-    broken = _pictures(whole, sources, arguments.count, arguments.broken, arguments.seed)
-    _pictures(tenth, sources, arguments.count // 10, arguments.broken, arguments.seed)
+    broken = make_pictures(whole, sources, arguments.count, arguments.broken, arguments.seed)
+    make_pictures(tenth, sources, arguments.count // 10, arguments.broken, arguments.seed)
     runs = {
         f"{arguments.count // 10} pictures": _fitted(tenth, folder / "tenth-fits", arguments.fit),
         f"{arguments.count} pictures": _fitted(whole, folder / "whole-fits", arguments.fit),
@@ -123,7 +123,7 @@ def _resident(process: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def _pictures(folder: Path, sources: list[Path], count: int, share: float, seed: int) -> dict[str, str]:
+def make_pictures(folder: Path, sources: list[Path], count: int, share: float, seed: int) -> dict[str, str]:
     """Make the pictures; what is wrong with the broken ones, by name."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)

@@ -18,7 +18,7 @@ from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.exceptions import InputError
-from jaxfit.models.files import SUFFIX
+from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.schemes import SCHEMES, Scheme, scheme_named
 from jaxfit.training import METHODS, Options, default_descriptor, seen
@@ -44,6 +44,20 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         "right and down by so many pixels",
     )
     command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
+
+
+def add_pictures(command: argparse.ArgumentParser) -> None:
+    """Pictures to fit, ``--recursive`` and ``--model NAME``."""
+    command.add_argument(
+        "pictures",
+        nargs="+",
+        metavar="IMAGE_OR_DIR",
+        help="pictures, folders of pictures, or patterns such as 'a/*.jpg'",
+    )
+    command.add_argument("--recursive", action="store_true", help="take pictures in folders within the folders, too")
+    command.add_argument(
+        "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
+    )
 
 
 def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:

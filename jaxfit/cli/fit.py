@@ -16,6 +16,7 @@ from jaxfit.cli.arguments import (
     add_boxes,
     add_detector,
     add_initialisations,
+    add_pictures,
     add_refine,
     given_boxes,
     out_folder,
@@ -32,7 +33,7 @@ from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, Results, require_pyarr
 from jaxfit.detecting import find_faces
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.fitting import Fits, fit, passes_from, require_refinable
-from jaxfit.models.files import DEFAULT_MODEL, load
+from jaxfit.models.files import load
 from jaxfit.models.model import Model
 
 # Pictures that are fitted together and kept when done: what a killed run loses at most.
@@ -49,16 +50,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         description="Find landmarks in pictures, with 3D models also the 3D shape and pose of the heads. Writes tables "
         "and other formats, overlay pictures, and problems.csv. A run that was stopped goes on when started again.",
     )
-    command.add_argument(
-        "pictures",
-        nargs="+",
-        metavar="IMAGE_OR_DIR",
-        help="pictures, folders of pictures, or patterns such as 'a/*.jpg'",
-    )
-    command.add_argument("--recursive", action="store_true", help="take pictures in folders within the folders, too")
-    command.add_argument(
-        "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
-    )
+    add_pictures(command)
     add_boxes(command, "a detector finds the faces")
     add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
     add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")

@@ -1,18 +1,15 @@
 """The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
 
 import argparse
-import os
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
-
-import jax
 
 import jaxfit
-from jaxfit.cli import evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.compiling import keep_compiled_code
 from jaxfit.exceptions import JaxfitError
 
-_COMMANDS = (fit, track, serve, models, train, finetune, evaluate, export, experiments)
+_COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -45,19 +42,6 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
     except KeyboardInterrupt:
         print("jaxfit: stopped; nothing half-written was left behind", file=sys.stderr)
         return 130
-
-
-def keep_compiled_code() -> None:
-    """Let later runs start with what this one compiles, unless the user's own JAX settings say where."""
-    if getattr(jax.config, "jax_compilation_cache_dir", None):
-        return
-    try:
-        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxfit"
-        cache.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return  # no home, or a read-only one, costs some seconds at every start and nothing else
-    jax.config.update("jax_compilation_cache_dir", str(cache))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 if __name__ == "__main__":

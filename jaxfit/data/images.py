@@ -20,24 +20,25 @@ _UNREADABLE_SUFFIXES = (".heic", ".heif")
 _VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
+NAMELESS = "the picture"  # what errors call one that came without a file
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
-def read_image(path: str | Path, exif: bool = True) -> np.ndarray:
+def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
     """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped and 16 bits become 8.
 
     Args:
-        path: the file.
+        path: the file, or the bytes in it.
         exif: turn the picture upright as its EXIF orientation says. Labels of data sets mostly belong to the pixels as
             they are stored: read those with False.
 
     Raises:
         ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
     """
-    return decode_image(_data(path), exif, path)
+    return decode_image(_data(path), exif, _name(path))
 
 
-def decode_image(data: bytes, exif: bool = True, source: str | Path = "the picture") -> np.ndarray:
+def decode_image(data: bytes, exif: bool = True, source: str | Path = NAMELESS) -> np.ndarray:
     """The picture in what a file holds as RGB, uint8 (H, W, 3), as `read_image` reads it.
 
     Args:
@@ -51,8 +52,8 @@ def decode_image(data: bytes, exif: bool = True, source: str | Path = "the pictu
     return _decoded(source, data, cv2.IMREAD_COLOR, exif)
 
 
-def read_upright(path: str | Path) -> np.ndarray:
-    """The picture in a file, turned upright as its EXIF data say, grey, uint8 (H, W).
+def read_upright(path: str | Path | bytes) -> np.ndarray:
+    """The picture in a file, or in the bytes of one, turned upright as its EXIF data say, grey, uint8 (H, W).
 
     Raises:
         ImageError: as `read_image`.
@@ -69,15 +70,21 @@ def read_grey(path: str | Path) -> np.ndarray:
     return _grey(path, exif=False)
 
 
-def _grey(path: str | Path, exif: bool) -> np.ndarray:
-    data = _data(path)
+def _grey(path: str | Path | bytes, exif: bool) -> np.ndarray:
+    data, name = _data(path), _name(path)
     if data.startswith(JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
-        return _decoded(path, data, cv2.IMREAD_GRAYSCALE, exif)
-    return to_grey(_decoded(path, data, cv2.IMREAD_COLOR, exif))
+        return _decoded(name, data, cv2.IMREAD_GRAYSCALE, exif)
+    return to_grey(_decoded(name, data, cv2.IMREAD_COLOR, exif))
 
 
-def _data(path: str | Path) -> bytes:
+def _name(path: str | Path | bytes) -> str | Path:
+    return NAMELESS if isinstance(path, bytes) else path
+
+
+def _data(path: str | Path | bytes) -> bytes:
     """What is in a file that may be a picture."""
+    if isinstance(path, bytes):
+        return path
     try:
         with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
             return file.read()

@@ -27,10 +27,10 @@ from jaxfit.shapes.schemes import Scheme, scheme_named
 
 FORMAT = 1
 SUFFIX = ".safetensors"
-DEFAULT_MODEL = "face68"  # a bundled one
+BUNDLED = "bundled"  # the folder of the models that come with the package
+DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
-_BUNDLED = "bundled"
 # What parsing may raise whatever the bytes.
 DAMAGE = (
     SafetensorError,
@@ -71,7 +71,7 @@ def save(model: Model, path: str | Path) -> None:
 
 def bundled() -> list[str]:
     """Names of the models that come with the package."""
-    return names_in(_BUNDLED)
+    return names_in(BUNDLED)
 
 
 def load(name: str | Path = DEFAULT_MODEL) -> Model:
@@ -80,7 +80,7 @@ def load(name: str | Path = DEFAULT_MODEL) -> Model:
     Raises:
         ModelError: no such model, or a file that is damaged or of another format version.
     """
-    data = read_named(name, _BUNDLED, "model")
+    data = read_named(name, BUNDLED, "model")
     try:
         return _parse(data)
     except ModelError as error:

@@ -21,7 +21,8 @@ from filelock import FileLock
 
 import jaxfit
 from jaxfit.cascade.model import first_steps
-from jaxfit.cli.main import keep_compiled_code, main
+from jaxfit.cli.main import main
+from jaxfit.compiling import keep_compiled_code
 from jaxfit.data.datasets import FORMATS
 from jaxfit.data.pts import write_pts
 from jaxfit.data.records import Dataset, FaceRecord

@@ -1,0 +1,55 @@
+"""``jaxfit collect``: find landmarks in a collection of pictures with Ray Data, on this machine or a cluster."""
+
+import argparse
+
+from jaxfit.batching import BatchFitter
+from jaxfit.cli.arguments import add_detector, add_initialisations, add_pictures, add_refine, out_folder
+from jaxfit.cli.progress import Bars
+from jaxfit.collecting import fit_collection
+from jaxfit.data.detectors import DEFAULT_DETECTOR
+from jaxfit.data.images import find_images
+
+
+def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "collect",
+        help="find landmarks in a collection of pictures, with Ray",
+        description="Find landmarks in a collection of pictures with workers of Ray Data, which jaxfit[ray] installs. "
+        "Writes Parquet files of some pictures each, and a manifest of all. A run that was stopped goes on when "
+        "started again; of a collection that has grown, what is new is fitted.",
+    )
+    add_pictures(command)
+    add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
+    add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
+    add_refine(command)
+    command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
+    command.add_argument("--workers", type=int, help="processes; as many as there are cores for unless given")
+    command.add_argument("--cores", type=int, default=1, help="that each of them keeps busy (default: 1)")
+    command.add_argument("--part", type=int, default=256, metavar="N", help="pictures a Parquet file (default: 256)")
+    command.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
+    fitter = BatchFitter(
+        options.model,
+        options.detector or DEFAULT_DETECTOR,
+        options.initialisations,
+        tuple(options.rotations),
+        options.refine,
+        options.cores,
+    )
+    pictures = find_images(options.pictures, options.recursive)
+    with Bars() as bars:
+        outcomes = fit_collection(
+            pictures,
+            out_folder(options.out),
+            fitter,
+            workers=options.workers,
+            part=options.part,
+            progress=bars,
+        )
+    print("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    print(f"written: {options.out}/parts, {options.out}/manifest.parquet")
+    return 0 if outcomes["fitted"] and not outcomes["missing"] else 1
