@@ -10,6 +10,7 @@ import hashlib
 import json
 import os
 import re
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -35,9 +36,9 @@ def join_processes(
     """Train and evaluate together with other processes, which run the same program: within this context
     ``jaxfit.train`` and ``jaxfit.evaluate`` read only this process's share of the pictures, and give all the same.
 
-    Enter it before anything is computed; JAX can join processes only once. It is left when all have come to its end,
-    for which they wait five minutes. If an error leaves it, the process does not wait for the others when it ends, with
-    exit status 2, and they end too.
+    Enter it in the main thread and before anything is computed; JAX can join processes only once. It is left when all
+    have come to its end, for which they wait five minutes. If an error leaves it, the process does not wait for the
+    others when it ends, with exit status 2, and they end too.
 
     Args:
         coordinator: address and port, ``HOST:PORT``, at which the process 0 listens and all find each other; None, with
@@ -74,6 +75,7 @@ def join_processes(
 
 def _join(coordinator: str | None, count: int | None, index: int | None) -> None:
     """Have JAX connect the processes."""
+    at_sigterm = signal.getsignal(signal.SIGTERM)
     try:
         jax.distributed.initialize(coordinator, count, index)
     except JaxRuntimeError as error:
@@ -81,6 +83,8 @@ def _join(coordinator: str | None, count: int | None, index: int | None) -> None
     except (RuntimeError, ValueError) as error:
         why = "without a coordinator, processes are started by SLURM or Open MPI. " if coordinator is None else ""
         raise InputError(f"the processes cannot join: {why}{error}") from error
+    # JAX only makes a note of it, for programs that ask, and would go on.
+    signal.signal(signal.SIGTERM, at_sigterm)
 
 
 def _leave() -> None:

@@ -88,9 +88,17 @@ def both(*command: str) -> list[subprocess.Popen]:
     return [started(*command, str(index)) for index in range(2)]
 
 
-def started(*command: str) -> subprocess.Popen:
+def both_by_slurm(*command: str) -> list[subprocess.Popen]:
+    """The same, as SLURM would start it, whose number of the job says the port."""
+    tasks = [{"SLURM_PROCID": str(index), "SLURM_LOCALID": str(index)} for index in range(2)]
+    job = {"SLURM_JOB_ID": str(os.getpid()), "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2"}
+    command = (sys.executable, "-m", "jaxfit.cli.main", *command, "--distributed")
+    return [started(*command, **job, **task) for task in tasks]
+
+
+def started(*command: str, **environment: str) -> subprocess.Popen:
     # Compiling takes most of the time: less well, and sooner.
-    environment = os.environ | {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"}
+    environment = os.environ | {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1"} | environment
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -161,7 +169,7 @@ def test_a_killed_evaluation_ends_for_all_and_can_be_run_again(spoiled: Path, al
     said = said_by_survivor(both(*command), 0, "compiling")
     assert any(words in said for words in OTHER_ENDED), said
     assert not list(tmp_path.iterdir())
-    first, second = outputs(both(*command))
+    first, second = outputs(both_by_slurm(*command))
     assert "written" in first
     assert said_by_jaxfit(second) == []
     with open(tmp_path / "faces.csv", encoding="utf-8") as file:
