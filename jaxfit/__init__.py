@@ -23,7 +23,7 @@ from jaxfit.data.videos import Video
 from jaxfit.detecting import Found, find_faces
 from jaxfit.evaluating import evaluate
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError
+from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError, ProcessError
 from jaxfit.exporting import Exported, export_model, load_exported
 from jaxfit.finetuning import Finetuned, finetune
 from jaxfit.fitting import Fits, fit, warm_up
@@ -32,6 +32,7 @@ from jaxfit.lifting import Lifted, fill_labels, lift_labels, share_labels
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
 from jaxfit.models.model import Model
+from jaxfit.processes import join_processes
 from jaxfit.smoothing import OneEuro
 from jaxfit.tracking import TrackedFace, TrackedFrame, Tracker, track
 from jaxfit.training import Options, Trained, train
@@ -55,6 +56,7 @@ __all__ = [
     "ModelError",
     "OneEuro",
     "Options",
+    "ProcessError",
     "TrackedFace",
     "TrackedFrame",
     "Tracker",
@@ -80,6 +82,7 @@ __all__ = [
     "fit_crops",
     "fit_face",
     "fit_heads",
+    "join_processes",
     "learn_confidence",
     "lift_labels",
     "load",

@@ -23,6 +23,7 @@ from jaxfit.evaluation.pose import in_order
 from jaxfit.exceptions import InputError
 from jaxfit.fitting import Fits, batches_of, fit, fit_steps, warm_up
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import exchanged, gathered, require_same, share_of
 from jaxfit.shapes.conversions import convert, sources
 from jaxfit.shapes.schemes import Scheme
 
@@ -43,7 +44,8 @@ class Evaluation:
         errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
             the errors are not measured on the model's own landmarks.
         problems: for each face without a fit, its number and why.
-        seconds_per_face: reading, cropping and fitting, compiled; NaN if nothing was fitted.
+        seconds_per_face: reading, cropping and fitting, compiled, until the last process has its share; NaN if nothing
+            was fitted.
     """
 
     faces: tuple[FaceRecord, ...]
@@ -95,6 +97,8 @@ def detected_boxes(
 ) -> tuple[np.ndarray, list[str]]:
     """The boxes (N, 4) in which a detector finds labelled faces, and their kinds; NaN, and squares, where it does not.
 
+    Processes that are joined share the pictures, as in `evaluate`.
+
     Args:
         faces: N labelled faces with landmarks.
         detector: as in ``jaxfit.detect_faces``.
@@ -104,11 +108,14 @@ def detected_boxes(
         InputError: there is no such detector.
     """
     pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
+    names = list(pictures)
+    mine = share_of(names)
     stored = partial(read_image, exif=False)  # what labels belong to
-    found = find_faces(list(pictures), detector, read=stored, progress=progress)
+    found = find_faces([names[number] for number in mine], detector, read=stored, progress=progress)
     in_pictures: list[list[Detection]] = [[] for _ in pictures]
-    for picture, box, kind in zip(found.pictures, found.boxes, found.kinds, strict=True):
-        in_pictures[picture].append(Detection(box, kind))
+    for part in exchanged([mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds]):
+        for picture, box, kind in zip(*part, strict=True):
+            in_pictures[picture].append(Detection(np.array(box), kind))
     boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
     for number, face in enumerate(faces):
         if not face.present.any():
@@ -163,6 +170,8 @@ def evaluate(
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors.
 
+    Processes that are joined (``jaxfit.join_processes``) share the pictures, and get the results of all.
+
     Args:
         model: the model.
         faces: N labelled faces.
@@ -179,7 +188,9 @@ def evaluate(
 
     Raises:
         InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
-            number, an unknown normaliser or kind, no or two initialisations, or no range of rotations.
+            number, an unknown normaliser or kind, no or two initialisations, no range of rotations, or processes that
+            were not told the same.
+        ProcessError: another of the processes ended.
     """
     kinds = [kind] * len(faces) if isinstance(kind, str) else list(kind)
     if len(kinds) != len(faces):
@@ -249,17 +260,20 @@ def _evaluate(
     normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
     boxed = np.flatnonzero(np.isfinite(boxes).all(1))
     unboxed = np.flatnonzero(~np.isfinite(boxes).all(1))
-    if boxed.size:
+    require_same(model.cascade, model.head, scheme.name, [face.face for face in faces], boxes)
+    mine = share_of([faces[int(number)].image for number in boxed])
+    own = boxed[mine]
+    if own.size:
         progress("compiling (cached for later runs)", 0, len(faces))
-        compiled(list(dict.fromkeys(batches_of(boxed.size))))
+        compiled(list(dict.fromkeys(batches_of(own.size))))
     begin = time.perf_counter()
-    fits = fitted([faces[int(number)].image for number in boxed], boxes[boxed], boxed)
-    seconds = time.perf_counter() - begin
+    fits = fitted([faces[int(number)].image for number in own], boxes[own], own)
+    seconds = max(exchanged(time.perf_counter() - begin))
 
     def whole(found: np.ndarray) -> np.ndarray:
-        """What was found of faces with boxes, of all faces; NaN for the others."""
+        """What the processes found of faces with boxes, of all faces; NaN for the others."""
         values = np.full((len(faces), *found.shape[1:]), np.nan)
-        values[boxed] = found
+        values[boxed] = gathered(found, mine, boxed.size)
         return values
 
     unknown = np.full((scheme.count, 2), np.nan)
@@ -269,7 +283,8 @@ def _evaluate(
     evaluations = []
     for each in fits:
         problems = {int(number): f"{faces[int(number)].image}: no face box" for number in unboxed}
-        problems |= {int(boxed[row]): why for row, why in each.problems.items()}
+        left_out = [(int(own[row]), why) for row, why in each.problems.items()]
+        problems |= dict(sorted(one for part in exchanged(left_out) for one in part))
         landmarks = whole(convert(each.landmarks, model.scheme, scheme))
         pose = None if each.pose is None else whole(each.pose)
         errors_3d = None

@@ -17,5 +17,9 @@ class DatasetError(JaxfitError):
     """A dataset's folder, annotation file or database is missing, empty or malformed."""
 
 
+class ProcessError(JaxfitError):
+    """Another of the processes that work together ended, or cannot be reached."""
+
+
 class ModelError(JaxfitError):
     """A model file is missing, damaged, or of a version this release does not read."""

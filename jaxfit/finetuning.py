@@ -22,6 +22,7 @@ from jaxfit.lifting import Lifted, fill_labels
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import require_alone
 from jaxfit.shapes.schemes import Scheme
 from jaxfit.training import cut_faces, training_set, usable_faces
 
@@ -75,10 +76,11 @@ def finetune(
         read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
 
     Raises:
-        InputError: labels of another number of landmarks, a share out of range, too few faces or people, or a
-            checkpoint of something else.
+        InputError: labels of another number of landmarks, a share out of range, too few faces or people, a checkpoint
+            of something else, or several processes.
         ModelError: a damaged checkpoint.
     """
+    require_alone("fine-tuning")
     tuning, scheme = tuning or Tuning(), model.scheme
     if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
         raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")

@@ -1,13 +1,14 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
+import jax
 import numpy as np
+from jax import numpy as jnp
 
 from jaxfit import __version__
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
@@ -24,6 +25,7 @@ from jaxfit.exceptions import ImageError, InputError
 from jaxfit.image.frame import Frame
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.shapes.asm import likely_radius
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace, mean_face
@@ -38,6 +40,8 @@ _FEWEST_DETECTED = 10
 _FLAT = 0.01
 # How far starts of several initialisations are turned in training, as a share of the range that they cover.
 _REACH = 0.7
+# A box that a detector drew around a training face: the face's number, the kind of box, and the box.
+_Detected = tuple[int, str, list[float]]
 _SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 
 
@@ -188,6 +192,9 @@ def train(
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
 
+    Processes that are joined (``jaxfit.join_processes``) learn one model together, which each gets: each reads the
+    pictures of its own share of the faces, but needs the labels of all.
+
     Args:
         faces: the labelled faces, all of one scheme.
         scheme: what their landmarks mean.
@@ -199,7 +206,9 @@ def train(
         read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
 
     Raises:
-        InputError: an unknown method, an option out of range, or fewer than two usable faces.
+        InputError: an unknown method, an option out of range, fewer than two usable faces, or processes that were not
+            told the same, or one without any readable picture.
+        ProcessError: another of the processes ended.
     """
     options = options or Options()
     if method not in METHODS:
@@ -215,6 +224,7 @@ def train(
     # A head model without these landmarks stops before the work.
     solid = _camera_asm(np.empty(0), scheme, options, frame.face) if METHODS[method].in_3d else None
     landmarks = np.stack([face.landmarks for face in complete])
+    require_same(method, options, scheme.name, [face.face for face in complete], landmarks)
     squares = np.stack([bounding_square(points) for points in landmarks])
     relative = (landmarks - squares[:, None, :2]) / squares[:, None, 2:]
     mean = mean_face(relative, frame.face)
@@ -222,22 +232,36 @@ def train(
     jittered = np.stack([jitter(square, rng) for square in squares])
     placement = measure_placement(jittered, landmarks, mean, frame.face)
 
-    detected, every = _Detected(), max(1, len(complete) // _DETECTED_FACES)
+    mine = share_of([face.image for face in complete])
+    detected: list[_Detected] = []
+    every = max(1, len(complete) // _DETECTED_FACES)
 
-    def look(number: int, grey: np.ndarray) -> None:
-        if options.haar and number % every == 0:
-            detected.look(number, grey, squares[number])
+    def look(row: int, grey: np.ndarray) -> None:
+        number = int(mine[row])
+        if options.haar and number % every == 0 and (match := best_match(detect_faces(grey), squares[number])):
+            detected.append((number, match.kind, match.box.tolist()))
 
-    crops, rows, unread = cut_faces(complete, squares, placement, frame, read, progress, look)
-    problems += unread
-    if len(rows) < 2:
-        raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
-    space = METHODS[method].learn_space(relative[rows], scheme, options, frame.face)
+    own = [complete[number] for number in mine]
+    crops, rows, why = cut_faces(own, squares[mine], placement, frame, read, progress, look)
+    unread = list(zip(np.setdiff1d(mine, mine[rows]).tolist(), why, strict=True))
+    parts = exchanged([unread, detected, len(rows)])
+    problems += [why for _, why in sorted(each for part in parts for each in part[0])]
+    readable = np.setdiff1d(np.arange(len(complete)), [number for part in parts for number, _ in part[0]])
+    if len(readable) < 2:
+        raise InputError(f"expected at least two readable pictures; got {len(readable)}: {'; '.join(problems[:3])}")
+    if idle := [process for process, part in enumerate(parts) if part[2] == 0]:
+        raise InputError(f"expected readable pictures for each process, but {idle} have none: use fewer processes")
+    numbers, count = np.searchsorted(readable, mine[rows]), len(readable)
+    if options.mirror:
+        numbers, count = np.concatenate([numbers, numbers + count]), 2 * count
+    learned = training_set(crops, landmarks[mine], squares[mine], rows, scheme if options.mirror else None)
+    space = METHODS[method].learn_space(relative[readable], scheme, options, frame.face)
+    space = jax.tree.unflatten(jax.tree.structure(space), by_first(lambda: space))
     cascade = train_cascade(
         space,
         descriptor,
         frame,
-        training_set(crops, landmarks, squares, rows, scheme if options.mirror else None),
+        replace(learned, numbers=numbers, of=count),
         _scaled(placement.spread, options.spread),
         windows=options.windows,
         augmentations=options.augmentations,
@@ -249,10 +273,10 @@ def train(
         progress=progress,
     )
     head = solid if METHODS[method].aligns else None
-    placements = {SQUARE: placement, **detected.placements(landmarks, mean, frame.face)}
+    in_boxes = _detected_placements(sorted(each for part in parts for each in part[1]), landmarks, mean, frame.face)
     return Trained(
-        Model(cascade, scheme, placements, _summary(method, options, len(rows)), head),
-        len(rows),
+        Model(cascade, scheme, {SQUARE: placement, **in_boxes}, _summary(method, options, len(readable)), head),
+        len(readable),
         tuple(problems),
     )
 
@@ -341,24 +365,17 @@ def training_set(
     return TrainingSet(crops.pixels, points.astype(np.float32), flips, rows, pivots.astype(np.float32))
 
 
-class _Detected:
-    """Boxes that detectors draw around some of the training faces."""
-
-    def __init__(self) -> None:
-        self._found: dict[str, list[tuple[int, np.ndarray]]] = {}
-
-    def look(self, number: int, grey: np.ndarray, square: np.ndarray) -> None:
-        """Detect face ``number``, and keep the box that fits its bounding square, if there is one."""
-        if match := best_match(detect_faces(grey), square):
-            self._found.setdefault(match.kind, []).append((number, match.box))
-
-    def placements(self, landmarks: np.ndarray, mean: np.ndarray, face: float) -> dict[str, Placement]:
-        """How faces lie in the boxes of each detector that found enough of them."""
-        return {
-            kind: measure_placement(np.stack([box for _, box in found]), landmarks[[n for n, _ in found]], mean, face)
-            for kind, found in sorted(self._found.items())
-            if len(found) >= _FEWEST_DETECTED
-        }
+def _detected_placements(
+    detected: Sequence[_Detected], landmarks: np.ndarray, mean: np.ndarray, face: float
+) -> dict[str, Placement]:
+    """How faces lie in the boxes of each kind of which there are enough."""
+    placements = {}
+    for kind in sorted({kind for _, kind, _ in detected}):
+        found = [(number, box) for number, of_kind, box in detected if of_kind == kind]
+        if len(found) >= _FEWEST_DETECTED:
+            boxes, labels = np.array([box for _, box in found]), landmarks[[number for number, _ in found]]
+            placements[kind] = measure_placement(boxes, labels, mean, face)
+    return placements
 
 
 def _scaled(spread: Spread, factor: float) -> Spread:

@@ -33,6 +33,7 @@ from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.finetuning import retuned
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import require_alone
 from jaxfit.shapes.schemes import mirrored
 from jaxfit.training import METHODS, Options, train
 
@@ -116,8 +117,9 @@ def learn_confidence(
 
     Raises:
         InputError: labels of another number of landmarks, no eye corners, fewer people than folds, fits that are all
-            good or all bad, or a model that does not say how it was trained.
+            good or all bad, a model that does not say how it was trained, or several processes.
     """
+    require_alone("learning a confidence")
     read = read or GreyPictures()
     method, options = training_of(model)
     whole = [number for number, face in enumerate(faces) if face.complete]

@@ -38,9 +38,10 @@ GROUPS = {
         *("calibrate_boxes", "learn_confidence", "try_fits", "Trials"),
     ),
     "Evaluation": ("evaluate",),
+    "Several processes": ("join_processes",),
     "3D shape models": ("load_head", "save_head", "bundled_heads", "HeadModel"),
     "Export": ("export_model", "load_exported", "Exported"),
-    "Errors": ("JaxfitError", "InputError", "ImageError", "DatasetError", "ModelError"),
+    "Errors": ("JaxfitError", "InputError", "ImageError", "DatasetError", "ModelError", "ProcessError"),
 }
 _ABOUT = """Made from the docstrings by `python scripts/build_api.py`. `N` counts faces, `L` landmarks, `H` and `W` the
 rows and columns of a picture. Pixels have their centres at whole numbers, x to the right and y down; boxes are x, y,

@@ -17,6 +17,7 @@ from jaxfit.cascade.regression import Moments, Projection, main_directions, prin
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.exceptions import InputError
 from jaxfit.image.frame import Frame
+from jaxfit.processes import by_first, gathered, total
 from jaxfit.shapes.space import ShapeSpace, Start
 from jaxfit.types import Point, Scalar
 
@@ -59,6 +60,8 @@ class TrainingSet:
             mirrored pictures share their pixels with the originals. ``source`` then names the crop.
         source: (N,) index into ``crops``.
         pivots: (N, 2) centres of the face boxes in crop pixels, about which starts are turned.
+        numbers: (N,) which of the faces these are that several processes learn from; None: they are all.
+        of: how many all are; None: N.
     """
 
     crops: UInt8[np.ndarray, "crops height width"]
@@ -66,6 +69,8 @@ class TrainingSet:
     mirrored: Bool[np.ndarray, "faces"]
     source: np.ndarray
     pivots: Float[np.ndarray, "faces 2"]
+    numbers: np.ndarray | None = None
+    of: int | None = None
 
 
 def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"], turn: Scalar, pivot: Point) -> Start:
@@ -192,6 +197,9 @@ def train_cascade(
     the crops, a sample costs the memory of its state alone, and some kilobytes of temporary disk during a step. The
     principal axes come from a fixed number of samples.
 
+    Several processes each describe and move their own faces. What they learn from is that of all: samples for the
+    principal axes are gathered and moments summed, and the first process makes a regressor of them.
+
     Args:
         space: shape space to regress in.
         descriptor: what is seen at a landmark.
@@ -220,9 +228,11 @@ def train_cascade(
             f"{len(faces.source)} faces"
         )
     count = len(faces.source)
+    every = faces.of or count
+    numbers = np.arange(count) if faces.numbers is None else faces.numbers
     size = max(1, min(_BATCH // augmentations, count))
-    total = -(-count // size)
-    keys = random.split(random.key(seed), count + 1)
+    rounds = -(-count // size)
+    keys = random.split(random.key(seed), every + 1)
     targets = _targets(descriptor, space, jnp.asarray(faces.landmarks, jnp.float32))
     states = np.empty((count, augmentations, space.size), np.float32)
     angles = np.empty((count, augmentations), np.float32)
@@ -230,12 +240,12 @@ def train_cascade(
 
     def batches(stage: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Face numbers, and which of them do not merely fill the last batch."""
-        for done in range(total):
-            progress(stage, done, total)
+        for done in range(rounds):
+            progress(stage, done, rounds)
             rows = np.arange(done * size, (done + 1) * size)
             valid, rows = rows < count, np.minimum(rows, count - 1)
             yield rows, valid
-        progress(stage, total, total)
+        progress(stage, rounds, rounds)
 
     def taken(rows: np.ndarray) -> State:
         return State(jnp.asarray(states[rows]), jnp.asarray(angles[rows]))
@@ -250,21 +260,29 @@ def train_cascade(
 
     def project(stage: str, window: Scalar) -> Projection:
         """Principal axes of the features of samples spread evenly over a random order of the faces."""
-        each = min(augmentations, max(1, _PCA_SAMPLES // count))
-        chosen = np.asarray(random.permutation(keys[count], count))[: _PCA_SAMPLES // each]
+        each = min(augmentations, max(1, _PCA_SAMPLES // every))
+        chosen = np.asarray(random.permutation(keys[every], every))[: _PCA_SAMPLES // each]
+        own = np.full(every, -1)
+        own[numbers] = np.arange(count)
+        places = np.flatnonzero(own[chosen] >= 0)  # of this process's faces among the chosen
+        mine = own[chosen[places]]
         seen = []
-        for first in range(0, len(chosen), size):
-            progress(stage, first, len(chosen))
-            rows = np.resize(chosen[first : first + size], size)
-            batch = described(rows, window)
-            seen.append(np.asarray(batch[: len(chosen) - first, :each]).reshape(-1, batch.shape[-1]))
-        return principal_axes(jnp.asarray(np.concatenate(seen)), variance)
+        for first in range(0, max(1, len(mine)), size):  # once without any: others must know the features' number
+            progress(stage, first, len(mine))
+            batch = described(np.resize(mine[first : first + size], size), window)
+            seen.append(np.asarray(batch[: len(mine) - first, :each]))
+        samples = gathered(np.concatenate(seen), places, len(chosen))
+        return Projection(
+            *by_first(lambda: principal_axes(jnp.asarray(samples.reshape(-1, samples.shape[-1])), variance))
+        )
 
     for rows, _ in batches("drawing starts"):
         pivots = jnp.asarray(faces.pivots[rows])
         put(
             rows,
-            draw_states(descriptor, space, keys[rows], pivots, augmentations, frame, spread.sigmas, jnp.float32(turn)),
+            draw_states(
+                descriptor, space, keys[numbers[rows]], pivots, augmentations, frame, spread.sigmas, jnp.float32(turn)
+            ),
         )
     for number, share in enumerate(windows, 1):
         step = f"step {number}/{len(windows)}"
@@ -278,7 +296,7 @@ def train_cascade(
                 features = described(rows, window)
                 moments, reduced = _observe(projection, moments, features, steps, jnp.asarray(valid))
                 components.write(np.asarray(reduced).tobytes())
-            regressor = _solved(moments, jnp.float32(ridge), rank)
+            regressor = Regressor(*by_first(partial(_solved, total(moments), jnp.float32(ridge), rank)))
             regressors.append(jax.tree.map(np.asarray, _unfolded(projection, regressor)))
             components.seek(0)
             for rows, _ in batches(f"{step}: advancing") if number < len(windows) else ():

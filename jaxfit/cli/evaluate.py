@@ -21,6 +21,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
 )
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.together import add_processes
 from jaxfit.data.datasets import convert_dataset, parse_spec
 from jaxfit.data.detectors import detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
@@ -34,6 +35,7 @@ from jaxfit.exceptions import InputError
 from jaxfit.fitting import passes_from
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import is_first
 from jaxfit.shapes.conversions import CONVERSIONS
 from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme
 
@@ -73,7 +75,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where report.json and faces.csv go")
-    command.set_defaults(run=run)
+    add_processes(command, run)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -114,6 +116,8 @@ def run(options: argparse.Namespace) -> int:
                 passes=passes,
                 progress=bars,
             )
+    if not is_first():
+        return 0
     reports = {spec: {"box_kind": kinds[spec], **_report(result)} for spec, result in results.items()}
     with atomic_write(folder / "report.json", "w") as file:
         settings = {

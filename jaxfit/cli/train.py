@@ -12,9 +12,11 @@ from jaxfit.cli.arguments import (
 )
 from jaxfit.cli.labelled_faces import add_faces, read_faces
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.together import add_processes
 from jaxfit.data.images import GreyPictures, read_grey
 from jaxfit.models.files import SUFFIX, save
 from jaxfit.models.heads import load_head
+from jaxfit.processes import is_first, require_alone
 from jaxfit.training import METHODS, train
 from jaxfit.trusting import learn_confidence
 
@@ -32,13 +34,15 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
     add_confidence(command)
     add_training(command)
-    command.set_defaults(run=run)
+    add_processes(command, run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Train and save."""
     out = model_target(options.out)
     require_folds(options.confidence)
+    if options.confidence:
+        require_alone("learning a confidence")
     found = read_faces(options)
     read = GreyPictures() if options.confidence else read_grey
     with Bars() as bars:
@@ -53,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
         model = trained.model
         if options.confidence:
             model = learn_confidence(model, found.faces, folds=options.confidence, read=read, progress=bars)
+    if not is_first():
+        return 0
     save(model, out)
     report_problems([*found.problems, *trained.problems])
     if METHODS[options.method].in_3d or options.lift:
