@@ -191,9 +191,10 @@ def _cut(faces: Faces, numbers: range, pictures: deque[_Picture]) -> CutFaces:
     crops = Crops.empty(len(numbers), faces.frame)
     problems: dict[int, str] = {}
     sources = [picture.source for picture in pictures]
+    boxless = np.isnan(faces.boxes[numbers.start : numbers.stop]).all(1)
     for row, number in enumerate(numbers):
         picture, box = pictures.popleft(), faces.boxes[number]
-        if np.isnan(box).all():
+        if boxless[row]:
             problems[number] = f"{sources[row]}there is no face box"
             continue
         grey = picture.grey()

@@ -95,12 +95,13 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
     Raises:
         InputError: the centre or the side is not finite, or the side is not positive.
     """
-    if not (np.isfinite(centre).all() and np.isfinite(face_side) and face_side > 0):
+    across, down = map(float, centre)
+    if not (math.isfinite(across) and math.isfinite(down) and math.isfinite(face_side) and face_side > 0):
         raise InputError(f"expected a finite centre and a positive face side; got {centre} and {face_side}")
     scale = float(face_side) / frame.face
-    offset = np.asarray(centre, np.float64) - scale * frame.middle
-    x, y = (offset - frame.shift).tolist()
-    columns, rows = (_side(*of, scale, frame.crop) for of in ((grey.shape[1], x), (grey.shape[0], y)))
+    left, top = across - scale * frame.middle, down - scale * frame.middle
+    x, y = left - frame.shift, top - frame.shift
+    columns, rows = _side(grey.shape[1], x, scale, frame.crop), _side(grey.shape[0], y, scale, frame.crop)
     part = _shrunk(grey[rows.low : rows.high, columns.low : columns.high], columns, rows)
     # Left to shrink is less than twofold: a bilinear sample a crop pixel, or four where one would miss much.
     samples = 2 if scale / max(1, int(scale)) > _ONE_SAMPLE else 1
@@ -117,7 +118,7 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
     )
     if samples > 1:
         pixels = cv2.resize(pixels, (frame.crop, frame.crop), interpolation=cv2.INTER_AREA)
-    return Crop(pixels, scale, offset)
+    return Crop(pixels, scale, np.array((left, top)))
 
 
 def to_image(points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray) -> np.ndarray:

@@ -142,6 +142,8 @@ def test_a_thumbnail_does_not_hide_a_truncation(tmp_path, rgb):
     assert read_bytes(tmp_path, whole).shape == rgb.shape
     with pytest.raises(ImageError, match="truncated"):
         read_bytes(tmp_path, whole[:-200])
+    with pytest.raises(ImageError, match="not a picture, damaged"):  # and ends as whole files do
+        read_bytes(tmp_path, whole[: whole.index(b"\xff\xd9") + 2])
 
 
 def test_what_follows_a_jpeg_does_not_matter(tmp_path, rgb):
