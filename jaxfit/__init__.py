@@ -12,6 +12,7 @@ __version__ = "0.1.0.dev0"
 from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cascade.finetune import Tuning
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
+from jaxfit.choosing import Chosen, Trial, choose_options
 from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
@@ -36,6 +37,7 @@ from jaxfit.training import Options, Trained, train
 from jaxfit.trusting import Trials, learn_confidence, try_fits
 
 __all__ = [
+    "Chosen",
     "DatasetError",
     "Disturbance",
     "Exported",
@@ -56,12 +58,14 @@ __all__ = [
     "TrackedFrame",
     "Tracker",
     "Trained",
+    "Trial",
     "Trials",
     "Tuning",
     "Video",
     "bundled",
     "bundled_heads",
     "calibrate_boxes",
+    "choose_options",
     "convert_dataset",
     "crop_faces",
     "detect_faces",
