@@ -108,8 +108,8 @@ def choose_options(
 
     Beginning with the given options, a setting takes the place of the best so far if its mean error is lower in all
     folds together, and by more than chance: signed-rank test by subject, one-sided p < 0.025. It is not tried on more
-    folds once it has been no better on those before. All settings are tried with two starts a face at most, and share
-    the principal axes that the first one found.
+    folds once it has been no better on those before. All settings are tried with two starts a face at most, without the
+    Haar detectors, and share principal axes.
 
     Args:
         faces: the labelled faces; those with missing landmarks are left out.
