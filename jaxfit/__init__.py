@@ -13,6 +13,7 @@ from jaxfit.batching import BatchFitter
 from jaxfit.calibrating import calibrate_boxes
 from jaxfit.cascade.finetune import Tuning
 from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
+from jaxfit.choosing import Chosen, Trial, choose_options
 from jaxfit.collecting import fit_collection
 from jaxfit.cropping import crop_faces
 from jaxfit.data.datasets import convert_dataset, read_dataset
@@ -40,6 +41,7 @@ from jaxfit.trusting import Trials, learn_confidence, try_fits
 
 __all__ = [
     "BatchFitter",
+    "Chosen",
     "DatasetError",
     "Disturbance",
     "Exported",
@@ -61,12 +63,14 @@ __all__ = [
     "TrackedFrame",
     "Tracker",
     "Trained",
+    "Trial",
     "Trials",
     "Tuning",
     "Video",
     "bundled",
     "bundled_heads",
     "calibrate_boxes",
+    "choose_options",
     "convert_dataset",
     "crop_faces",
     "detect_faces",

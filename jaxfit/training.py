@@ -12,7 +12,7 @@ from jax import numpy as jnp
 
 from jaxfit import __version__
 from jaxfit.cascade.fit import ANY_ROTATION, check_rotations
-from jaxfit.cascade.train import Progress, Spread, TrainingSet, train_cascade
+from jaxfit.cascade.train import Progress, SharedAxes, Spread, TrainingSet, train_cascade
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detectors import best_match, detect_faces
@@ -189,6 +189,7 @@ def train(
     options: Options | None = None,
     progress: Progress = _SILENT,
     read: Callable[[Path], np.ndarray] = read_grey,
+    axes: SharedAxes | None = None,
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
 
@@ -204,6 +205,8 @@ def train(
         options: how to train; None for the defaults.
         progress: called with a stage's name, what is done and what there is to do.
         read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
+        axes: what trainings of this method on the same faces share that differ in nothing but the windows, ridge,
+            variance or spread, as `choose_options` tries them.
 
     Raises:
         InputError: an unknown method, an option out of range, fewer than two usable faces, or processes that were not
@@ -270,6 +273,7 @@ def train(
         rank=options.rank,
         seed=options.seed,
         turn=_turn(options),
+        axes=axes,
         progress=progress,
     )
     head = solid if METHODS[method].aligns else None

@@ -72,8 +72,36 @@ class Projection:
     axes: Float[Array, "features kept"]
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Spectrum:
+    """Principal axes, and what they hold.
+
+    Attributes:
+        projection: on all K axes.
+        held: (K,) share of the features' variance that the first axis holds, the first two, and so on.
+    """
+
+    projection: Projection
+    held: Float[Array, "kept"]
+
+    def keeping(self, variance: float) -> Projection:
+        """As many of the axes as hold the share ``variance`` of the features' variance, all if they hold less."""
+        kept = int(jnp.searchsorted(self.held, variance)) + 1
+        return Projection(self.projection.mean, self.projection.axes[:, :kept])
+
+
 def principal_axes(features: Float[Array, "samples features"], variance: float) -> Projection:
     """PCA: the mean and as many axes as hold the share ``variance`` of the features' variance.
+
+    Raises:
+        InputError: as `spectrum`.
+    """
+    return spectrum(features, variance).projection
+
+
+def spectrum(features: Float[Array, "samples features"], variance: float) -> Spectrum:
+    """PCA: as many axes as hold the share ``variance`` of the features' variance, and what the first of them hold.
 
     Raises:
         InputError: ``variance`` is not in (0, 1], or all samples are equal.
@@ -96,7 +124,7 @@ def principal_axes(features: Float[Array, "samples features"], variance: float) 
     axes = vectors[:, :kept]
     if few:
         axes = jnp.matmul(centred.T, axes, precision=_EXACT) / jnp.sqrt(variances[:kept])
-    return Projection(mean, axes)
+    return Spectrum(Projection(mean, axes), held[:kept] / held[-1])
 
 
 @jax.jit

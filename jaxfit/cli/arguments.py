@@ -215,14 +215,16 @@ def add_confidence(command: argparse.ArgumentParser) -> None:
     )
 
 
-def require_folds(confidence: int | None) -> None:
-    """Refuse ``--confidence`` with too few folds, before the work.
+def require_folds(arguments: argparse.Namespace, *names: str) -> None:
+    """Refuse options such as ``--confidence`` with too few folds, before the work.
 
     Raises:
         InputError: there is one.
     """
-    if confidence is not None and confidence < 2:
-        raise InputError(f"--confidence: expected 2 folds or more; got {confidence}")
+    for name in names:
+        folds = getattr(arguments, name)
+        if folds is not None and folds < 2:
+            raise InputError(f"--{name}: expected 2 folds or more; got {folds}")
 
 
 def model_target(out: str) -> Path:

@@ -73,7 +73,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fine-tune and save."""
     out = model_target(options.out)
-    require_folds(options.confidence)
+    require_folds(options, "confidence")
     model = load(options.model)
     disturbance = Disturbance(**{option.name: getattr(options, option.name) for option in fields(Disturbance)})
     of_tuning = {option.name: getattr(options, option.name) for option in fields(Tuning) if option.name in _HELP}

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import scipy
@@ -117,8 +118,10 @@ def rank_sum(a: np.ndarray, b: np.ndarray) -> float:
     return float(scipy.stats.mannwhitneyu(ranks[: a.size], ranks[a.size :]).pvalue)
 
 
-def signed_rank(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> float:
-    """Two-sided p-value of the Wilcoxon signed-rank test: do errors (N,) of the same faces differ?
+def signed_rank(
+    a: np.ndarray, b: np.ndarray, subjects: Subjects = None, *, alternative: Literal["two-sided", "less"] = "two-sided"
+) -> float:
+    """P-value of the Wilcoxon signed-rank test: do errors (N,) of the same faces differ, or are the first ones less?
 
     Pairs of equal errors, two failures included, are dropped as in Wilcoxon's test; a failure of one method
     is the largest difference. Pairs with a NaN are left out. 1 when all pairs are equal, NaN when there are
@@ -139,7 +142,8 @@ def signed_rank(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> floa
         return 1.0
     difference = a[differs] - b[differs]
     # The test sees signed ranks only; ranking here keeps infinities out of its arithmetic.
-    return float(scipy.stats.wilcoxon(np.sign(difference) * scipy.stats.rankdata(np.abs(difference))).pvalue)
+    ranks = np.sign(difference) * scipy.stats.rankdata(np.abs(difference))
+    return float(scipy.stats.wilcoxon(ranks, alternative=alternative).pvalue)
 
 
 def subject_means(errors: np.ndarray, subjects: Subjects) -> np.ndarray:

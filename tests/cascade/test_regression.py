@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from jaxfit.cascade.regression import Moments, main_directions, principal_axes, solve
+from jaxfit.cascade.regression import Moments, main_directions, principal_axes, solve, spectrum
 from jaxfit.exceptions import InputError
 
 SAMPLES, FEATURES, PARAMS = 80, 6, 3
@@ -126,6 +126,15 @@ def test_principal_axes_are_those_of_the_svd(shape, variance):
         ratio = singular_values[first] / singular_values[first - 1] if first < len(singular_values) else 0
         if ratio < 0.95:
             np.testing.assert_allclose(mine @ mine.T, axes[:first].T @ axes[:first], atol=5e-3)
+
+
+@pytest.mark.parametrize("variance", [0.5, 0.8, 0.95, 1.0])
+def test_one_spectrum_serves_every_share_of_variance(variance):
+    x, _ = samples()
+    whole, alone = spectrum(jnp.asarray(x), 0.97).keeping(variance), principal_axes(jnp.asarray(x), min(variance, 0.97))
+    assert whole.axes.shape == alone.axes.shape
+    np.testing.assert_allclose(whole.axes, alone.axes, atol=1e-5)
+    np.testing.assert_array_equal(whole.mean, alone.mean)
 
 
 @pytest.mark.parametrize("rank", [1, 3, 8])

@@ -11,7 +11,7 @@ from jax import numpy as jnp
 
 from jaxfit.cascade import train
 from jaxfit.cascade.fit import State, fit_crops, start_rotations
-from jaxfit.cascade.train import Spread, TrainingSet, sample_starts, train_cascade
+from jaxfit.cascade.train import SharedAxes, Spread, TrainingSet, sample_starts, train_cascade
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.exceptions import InputError
@@ -98,6 +98,18 @@ def test_few_directions_are_shared_by_all_samples_and_learn_too():
 def test_as_many_directions_as_parameters_are_all():
     assert trained(rank=SPACE.size).directions is None
     assert_same_bits(trained(rank=SPACE.size), plain())
+
+
+def test_shared_axes_are_found_once(monkeypatch):
+    axes = SharedAxes(1.0)
+    for one, other in zip(jax.tree.leaves(trained(axes=axes)), jax.tree.leaves(plain()), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-3)
+    monkeypatch.setattr(train, "spectrum", None)  # not reached
+    stronger = trained(axes=axes, ridge=1.0)
+    for one, other in zip(stronger.weights, trained(axes=axes).weights, strict=True):
+        assert np.linalg.norm(one) < np.linalg.norm(other)
+    with pytest.raises(TypeError):  # reached: another window at one step
+        trained(axes=axes, windows=(0.9, 0.7, 0.4))
 
 
 def test_the_same_seed_gives_the_same_bits():

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -474,8 +475,29 @@ def test_training_on_filled_labels_with_a_confidence(heads, head_models, tmp_pat
     ids = [(f"0/{face.subject}", face.face) for face in faces]
     assert taught == [(3, ids), (5, ids[:3])]
     for folds in ("-1", "0", "1"):
-        assert main(["train", "--data", "some:x", "--out", str(out), "--confidence", folds]) == 2
-        assert "--confidence: expected 2 folds or more" in capsys.readouterr().err
+        for option in ("--confidence", "--choose"):
+            assert main(["train", "--data", "some:x", "--out", str(out), option, folds]) == 2
+            assert f"{option}: expected 2 folds or more" in capsys.readouterr().err
+
+
+def test_training_with_chosen_options(drawn: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    asked = []
+
+    def choose_options(faces, scheme, *, options, folds, method, **_):
+        asked.append((len(faces), options.ridge, folds, method))
+        trials = (jaxfit.Trial("ridge", 3.0, 0.04, 0.05, 12, 0.001, True),)
+        return jaxfit.Chosen(replace(options, ridge=3.0), trials, folds)
+
+    monkeypatch.setattr("jaxfit.cli.train.choose_options", choose_options)
+    out = tmp_path / "m.safetensors"
+    train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar"]
+    assert main([*train, "--choose", "--ridge", "2"]) == 0
+    told = jaxfit.load(out).training
+    assert asked == [(told["faces"], 2.0, 3, "sdm")]
+    assert (told["ridge"], told["chosen"]["trials"][0]["faces"]) == (3.0, 12)
+    said = capsys.readouterr().out
+    assert re.search(r"ridge +3 +12 +0\.0400 +0\.0500 +0\.001 +yes", said)
+    assert "chosen: ridge 3, variance 0.95, spread 1, windows " in said
 
 
 def test_training_without_the_pictures_of_the_test(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:

@@ -121,7 +121,15 @@ def test_rank_sum_of_small_samples(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_signed_rank_of_small_samples(seed: int) -> None:
     a, b = lognormal_errors(seed, 8), 1.5 * lognormal_errors(seed + 10, 8)
-    assert signed_rank(a, b) == pytest.approx(signed_rank_by_enumeration(a, b))
+    both = signed_rank(a, b)
+    assert both == pytest.approx(signed_rank_by_enumeration(a, b))
+    assert both == pytest.approx(2 * min(signed_rank(*pair, alternative="less") for pair in ((a, b), (b, a))))
+
+
+def test_less_is_less() -> None:
+    a = lognormal_errors(0, 20)
+    assert signed_rank(a, 1.1 * a, alternative="less") == pytest.approx(2.0**-20)
+    assert signed_rank(1.1 * a, a, alternative="less") == 1.0
 
 
 def test_one_failure_ranks_last() -> None:
