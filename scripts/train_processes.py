@@ -19,6 +19,7 @@ import numpy as np
 
 from jaxfit.cli.arguments import add_datasets, read_datasets
 from jaxfit.cli.main import exit_code
+from jaxfit.data.images import GreyPictures
 from jaxfit.evaluating import evaluate, start_boxes
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.exceptions import JaxfitError
@@ -63,11 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
                 for index, ended in enumerate(_ended(_started([*command, str(target)], number, folder), require=0)):
                     rows.append({"work": work, "processes": number, "process": index, **vars(ended)})
         columns = {"work": "", "processes": "d", "process": "d", "seconds": ".0f", "cpu": ".0f", "peak": ".0f"}
-        print(markdown_table(rows, columns))
+        print(markdown_table(rows, columns), flush=True)
         print(_compared(models[1], models[count], arguments.test, arguments.scheme))
         errors = [_errors(folder / str(number) / "faces.csv") for number in (1, count)]
         unlike = np.abs(errors[0] - errors[1]).max()
-        print(f"NMED of one model's fits in 1 and in {count} processes: at most {unlike:.1e} apart.\n")
+        print(f"NMED of one model's fits in 1 and in {count} processes: at most {unlike:.1e} apart.\n", flush=True)
         rows = []
         for work, command, stage in (("training", train, "step 1/"), ("evaluation", test, "fitting")):
             for victim in range(count):
@@ -140,8 +141,8 @@ def _killed(
 def _compared(one: Path, other: Path, test: str, scheme: str | None) -> str:
     """How far the fits of two models are from one another."""
     (dataset,) = read_datasets([test], scheme)
-    boxes = start_boxes(dataset.faces)
-    of_one, of_other = (evaluate(load(path), dataset.faces, boxes) for path in (one, other))
+    boxes, read = start_boxes(dataset.faces), GreyPictures()
+    of_one, of_other = (evaluate(load(path), dataset.faces, boxes, read=read) for path in (one, other))
     distances = np.linalg.norm(of_one.landmarks - of_other.landmarks, axis=2).max(1) / boxes[:, 2]
     medians = [float(np.median(result.errors)) for result in (of_one, of_other)]
     return (
