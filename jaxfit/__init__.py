@@ -7,7 +7,7 @@
 >>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
 """
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.1.0"
 
 from jaxfit.batching import BatchFitter
 from jaxfit.calibrating import calibrate_boxes
