@@ -71,11 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     before = {path: path.stat().st_mtime_ns for path in parts("all-killed")}
     runs["and started again"] = collect("all-killed")
     again = sum(path.stat().st_mtime_ns != written for path, written in before.items())
-    columns = {"run": "", "seconds": ".0f", "cpu_seconds": ".0f", "pictures_per_cpu_second": ".0f", "exit": ""}
-    rows = [{"run": name, **vars(each), "pictures_per_cpu_second": ""} for name, each in runs.items()]
-    for row in rows[:3]:
-        row["pictures_per_cpu_second"] = arguments.count / row["cpu_seconds"]
-    print(markdown_table(rows, columns))
+    columns = {"run": "", "seconds": ".0f", "cpu_seconds": ".0f", "of_workers": ".0f", "exit": ""}
+    print(markdown_table([{"run": name, **vars(each)} for name, each in runs.items()], columns))
     names = sorted(str(path) for path in pictures.iterdir() if path.is_file() or path.is_symlink())
     expected = pq.read_table(folder / "fitted" / "landmarks.parquet").sort_by(_ORDER)
     first, all_well = _faces(folder / "collected", expected), not again
@@ -124,10 +121,12 @@ def _difference(one: pa.Table, other: pa.Table) -> float:
 
 @dataclass(frozen=True)
 class _Run:
-    """A run of a command: how long it took, the processor time of all its processes, and how it ended."""
+    """A run of a command: how long it took, the processor time of all its processes, of which Ray's workers, and
+    how it ended."""
 
     seconds: float
     cpu_seconds: float
+    of_workers: float
     exit: int
 
 
@@ -140,7 +139,7 @@ def _run(
     half: Callable[[psutil.Process], None] | None = None,
 ) -> _Run:
     """Run a command; when it is due, do something to it."""
-    began, used = time.monotonic(), {}
+    began, used, workers = time.monotonic(), dict[psutil.Process, float](), set[psutil.Process]()
     with out.with_suffix(".log").open("a") as log:
         process = psutil.Popen(
             [sys.executable, "-m", "jaxfit.cli.main", command, str(pictures), "--out", str(out), *options],
@@ -153,6 +152,7 @@ def _run(
             family = [process, *process.children(recursive=True)]
             for each in family:
                 used[each] = sum(each.cpu_times()[:2])
+            workers.update(_workers(process))
         except psutil.NoSuchProcess:
             pass
         if due is not None and half is not None and due():
@@ -162,12 +162,18 @@ def _run(
     if process.returncode not in (0, -signal.SIGKILL):
         raise InputError(f"jaxfit {command} failed: see {out.with_suffix('.log')}")
     psutil.wait_procs(family[1:], timeout=60)  # Ray's processes end when they miss the one that began them
-    return _Run(time.monotonic() - began, sum(used.values()), process.returncode)
+    return _Run(
+        time.monotonic() - began, sum(used.values()), sum(used.get(each, 0.0) for each in workers), process.returncode
+    )
 
 
 def _kill_worker(process: psutil.Process) -> None:
-    workers = [each for each in process.children(recursive=True) if "MapWorker" in " ".join(each.cmdline())]
-    workers[0].kill()
+    _workers(process)[0].kill()
+
+
+def _workers(process: psutil.Process) -> list[psutil.Process]:
+    """The workers of Ray Data that a process has."""
+    return [each for each in process.children(recursive=True) if "MapWorker" in " ".join(each.cmdline())]
 
 
 if __name__ == "__main__":
