@@ -189,7 +189,7 @@ def test_a_part_that_kills_its_workers_is_missing_and_tried_again_later(in_proce
             with pytest.raises(SystemExit):
                 work(deadly)
         assert work(deadly) == {"pictures": 0, "error": ""}
-        patch.setattr(collecting, "_fit_parts", lambda *_: iter([(0, "")]))
+        patch.setattr(collecting, "_fit_parts", lambda *_: (made for made in [(0, "")]))
         outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=2)
     assert outcomes == {"fitted": 2, "none": 0, "problem": 0, "missing": 2}
     assert [row["outcome"] for row in manifest(tmp_path)] == ["fitted", "fitted", "missing", "missing"]
