@@ -159,12 +159,11 @@ def _run(
             half(process)
             due = None
         time.sleep(_POLL)
+    seconds = time.monotonic() - began
     if process.returncode not in (0, -signal.SIGKILL):
         raise InputError(f"jaxfit {command} failed: see {out.with_suffix('.log')}")
-    psutil.wait_procs(family[1:], timeout=60)  # Ray's processes end when they miss the one that began them
-    return _Run(
-        time.monotonic() - began, sum(used.values()), sum(used.get(each, 0.0) for each in workers), process.returncode
-    )
+    psutil.wait_procs(family[1:], timeout=120)  # Ray's own processes end when they miss theirs
+    return _Run(seconds, sum(used.values()), sum(used.get(each, 0.0) for each in workers), process.returncode)
 
 
 def _kill_worker(process: psutil.Process) -> None:
