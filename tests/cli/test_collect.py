@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,6 +207,18 @@ def test_what_stops_a_worker_stops_the_run(in_process, fitter, batch, tmp_path: 
         jaxfit.fit_collection(list(batch["image"]), tmp_path / "out", fitter)
 
 
+def test_ray_has_to_be_there_and_to_keep_to_this_machine(fitter, batch, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(collecting, "find_spec", lambda name: None)
+    with pytest.raises(jaxfit.InputError, match="pip install"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
+    monkeypatch.setattr(collecting, "find_spec", lambda name: True)
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+    monkeypatch.delenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", raising=False)
+    with pytest.raises(jaxfit.InputError, match="imported, but not started"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
+    assert not list(tmp_path.iterdir())
+
+
 _IN_A_CLUSTER = """
 import os, sys
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
@@ -240,6 +253,11 @@ def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Pa
     psutil = pytest.importorskip("psutil")
     out, pipe = tmp_path / "out", tmp_path / "pipe.png"
     os.mkfifo(pipe)
+
+    def map_workers(run: subprocess.Popen) -> list:
+        family = psutil.Process(run.pid).children(recursive=True)
+        return [each for each in family if "MapWorker" in " ".join(each.cmdline())]
+
     pictures = [*batch["image"][:4], str(pipe), *batch["image"][4:]]
     environment = {**os.environ, "RAY_worker_niceness": "0"}
     collect = [sys.executable, "-m", "jaxfit.cli.main", "collect", "--model", _MODEL, "--detector", "whole"]
@@ -247,9 +265,12 @@ def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Pa
 
     with subprocess.Popen(collect, env=environment) as run:
         held = _held(run, pipe)
+        workers = map_workers(run)
         family = psutil.Process(run.pid).children(recursive=True)
+        sockets = [socket for each in family for socket in each.net_connections() if socket.status == "LISTEN"]
+        assert {socket.laddr.ip.removeprefix("::ffff:") for socket in sockets} == {"127.0.0.1"}
         run.kill()
-    psutil.wait_procs(family)
+    psutil.wait_procs(workers)
     os.close(held)
     written = {path: path.stat().st_mtime_ns for path in (out / "parts").glob("[!.]*.parquet")}
     assert len(written) == 2
@@ -257,9 +278,7 @@ def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Pa
     command = [sys.executable, "-c", _IN_A_CLUSTER, _MODEL, str(out), *pictures]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as run:
         held = _held(run, pipe)
-        (worker,) = (
-            each for each in psutil.Process(run.pid).children(recursive=True) if "MapWorker" in " ".join(each.cmdline())
-        )
+        (worker,) = map_workers(run)
         (tmp_path / "file.png").write_bytes(Path(pictures[0]).read_bytes())
         (tmp_path / "file.png").replace(pipe)
         worker.send_signal(signal.SIGKILL)
