@@ -1,6 +1,7 @@
 """The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 
@@ -31,10 +32,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
-    """What ``run`` returns; 2 after an error, which is said in one line, 130 if stopped. Compiled code is kept."""
+    """What ``run`` returns; 2 after an error, which is said in one line, 130 if stopped, 141 if nobody reads what it
+    prints any more, as in ``jaxfit models | head -1``. Compiled code is kept."""
     keep_compiled_code()
     try:
-        return run(options)
+        code = run(options)
+        sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
+        return 141
     except (JaxfitError, OSError) as error:
         # Full disks, folders that may not be written to: nothing that a traceback would explain better.
         print(f"jaxfit: error: {error}", file=sys.stderr)

@@ -2,7 +2,10 @@
 
 import csv
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -198,6 +201,15 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(drawn: Path, model: Path
         assert "jaxfit: error:" in said, request
         assert words in said, request
     assert not (tmp_path / "out.safetensors").exists()
+
+
+def test_a_reader_who_has_seen_enough_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "jaxfit", "models"]
+    listing = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writing)
+    assert (listing.returncode, listing.stderr) == (141, "")
 
 
 def test_datasets_of_different_landmarks_are_not_mixed(drawn: Path, model: Path, tmp_path: Path, capsys) -> None:
