@@ -42,8 +42,10 @@ RECIPES: dict[str, list[str]] = {
         "--epochs 12 --validation 0 --confidence 2 --out {out}/face68.safetensors",
     ],
     "face68-3d": [
-        f"jaxfit train --data {{faces}} --lift aflw:{{data}}/aflw {_WITHOUT} --method regression3d {_DENSE} "
-        "--augmentations 10 --confidence --out {out}/face68-3d.safetensors",
+        f"jaxfit train --data {{faces}} --lift aflw+0.5:{{data}}/aflw {_WITHOUT} --method regression3d --shift 1 {_ROOT} "
+        "--out {out}/face68-3d.greedy.safetensors",
+        f"jaxfit finetune {{out}}/face68-3d.greedy.safetensors --data {{faces}} --lift aflw+0.5:{{data}}/aflw {_WITHOUT} "
+        "--epochs 12 --validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
     ],
     "face21": [
         f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --augmentations 10 --rank 24 "
