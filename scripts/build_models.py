@@ -23,7 +23,8 @@ _WINDOWS = "--windows 0.45 0.36 0.28 0.22 0.18 0.15"
 _DENSE = f"--descriptor dense {_WINDOWS} --no-haar"
 _ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-haar"
 _WITHOUT = "--without aflw2000-all:{data}/aflw2000"
-_TURNED = f"--lift aflw+0.5:{{data}}/aflw --lift-yaw 30 {_WITHOUT}"
+_LIFTED = f"--lift aflw+0.5:{{data}}/aflw {_WITHOUT}"
+_TURNED = f"{_LIFTED} --lift-yaw 30"
 _RENDERED = [
     "scripts/render_poses.py --facekit {data}/ict/ict_facekit.npz --data {faces} --per-subject 4 --most 925 --seed 0 "
     "--out {out}/rendered",
@@ -42,10 +43,10 @@ RECIPES: dict[str, list[str]] = {
         "--epochs 12 --validation 0 --confidence 2 --out {out}/face68.safetensors",
     ],
     "face68-3d": [
-        f"jaxfit train --data {{faces}} --lift aflw+0.5:{{data}}/aflw {_WITHOUT} --method regression3d --shift 1 {_ROOT} "
+        f"jaxfit train --data {{faces}} {_LIFTED} --method regression3d --shift 1 {_ROOT} "
         "--out {out}/face68-3d.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face68-3d.greedy.safetensors --data {{faces}} --lift aflw+0.5:{{data}}/aflw {_WITHOUT} "
-        "--epochs 12 --validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
+        f"jaxfit finetune {{out}}/face68-3d.greedy.safetensors --data {{faces}} {_LIFTED} --epochs 12 "
+        "--validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
     ],
     "face21": [
         f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --augmentations 10 --rank 24 "
