@@ -51,7 +51,7 @@ RECIPES: dict[str, list[str]] = {
     "face21": [
         f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --augmentations 10 --rank 24 "
         "--out {out}/face21.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{data}}/aflw --fill {_WITHOUT} --epochs 12 "
+        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{data}}/aflw {_WITHOUT} --epochs 12 "
         "--validation 0 --confidence 2 --out {out}/face21.safetensors",
     ],
     "fast68": [
@@ -103,22 +103,18 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def commands_of(name: str, arguments: argparse.Namespace, folder: Path) -> list[str]:
+def commands_of(name: str, arguments: argparse.Namespace, out: Path) -> list[str]:
     """What builds a model, and measures it if people were kept aside."""
-    of_faces = arguments.data if arguments.split is None else f"{arguments.split}/train"
-    places = {
-        "data": arguments.data,
-        "out": str(folder),
-        "faces": " ".join(f"pts:{of_faces}/{each}" for each in SETS),
-    }
+    data, split, folder = shlex.quote(arguments.data), shlex.quote(arguments.split or ""), shlex.quote(str(out))
+    of_faces = f"{split}/train" if arguments.split else data
+    places = {"data": data, "out": folder, "faces": " ".join(f"pts:{of_faces}/{each}" for each in SETS)}
     commands = [command.format(**places) for command in RECIPES[name]]
-    if arguments.split is not None:
-        tested = " ".join(f"pts:{arguments.split}/test/{each}" for each in SETS)
+    if arguments.split:
+        tested = " ".join(f"pts:{split}/test/{each}" for each in SETS)
         model = f"{folder}/{name}.safetensors"
         commands.append(f"jaxfit evaluate {model} --data {tested} --out {folder}/{name}")
         commands.append(
-            f"jaxfit evaluate {model} --data aflw2000:{arguments.data}/aflw2000 --normaliser box "
-            f"--out {folder}/{name}-turned"
+            f"jaxfit evaluate {model} --data aflw2000:{data}/aflw2000 --normaliser box --out {folder}/{name}-turned"
         )
     return commands
 

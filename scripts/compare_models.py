@@ -19,7 +19,7 @@ from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.images import GreyPictures
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset
+from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.statistics import signed_rank, summarise
 from jaxfit.evaluation.tables import markdown_table
@@ -58,8 +58,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def complete(dataset: Dataset) -> list[Any]:
-    return [face for face in dataset.faces if face.complete]
+def complete(dataset: Dataset) -> list[FaceRecord]:
+    """The faces with all landmarks.
+
+    Raises:
+        InputError: there are none.
+    """
+    if not (faces := [face for face in dataset.faces if face.complete]):
+        raise InputError(f"{dataset.spec}: expected faces with all {dataset.scheme.count} landmarks; got none")
+    return faces
 
 
 def measured(models: dict[str, Any], dataset: Dataset, rival: str | None, seed: int) -> dict[str, np.ndarray]:

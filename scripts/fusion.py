@@ -80,6 +80,7 @@ def _chosen(landmarks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
 
 
 def _centroids(landmarks: np.ndarray) -> np.ndarray:
+    """The number of each face's fit that is nearest to all others."""
     return np.array([int(centroid(fits)) for fits in jnp.asarray(landmarks, jnp.float32)])
 
 
@@ -90,9 +91,7 @@ def _weighted(landmarks: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 FUSIONS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     ALONE: lambda fits, sure: fits[:, 0],
-    "centroid": lambda fits, sure: _chosen(
-        fits, np.array([int(centroid(each)) for each in jnp.asarray(fits, jnp.float32)])
-    ),
+    "centroid": lambda fits, sure: _chosen(fits, _centroids(fits)),
     "median": lambda fits, sure: np.median(fits, 1),
     "mean": lambda fits, sure: fits.mean(1),
     "mean, weighted by confidence": _weighted,

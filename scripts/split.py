@@ -15,6 +15,7 @@ from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import InputError
 
 LABELS = ("pts", "pts0")
+PARTS = ("train", "test")
 
 
 def main() -> int:
@@ -30,19 +31,25 @@ def main() -> int:
 def run(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.fold < arguments.folds:
         raise InputError(f"--fold: expected one of 0 to {arguments.folds - 1}; got {arguments.fold}")
-    for dataset in read_datasets(arguments.data, arguments.scheme):
-        kind, _, path = parse_spec(dataset.spec)
-        if kind not in LABELS:
+    datasets = read_datasets(arguments.data, arguments.scheme)
+    names = [Path(parse_spec(dataset.spec)[2]).resolve().name for dataset in datasets]
+    for dataset, name in zip(datasets, names, strict=True):
+        if parse_spec(dataset.spec)[0] not in LABELS:
             raise InputError(f"expected datasets of the formats {', '.join(LABELS)}; got {dataset.spec}")
+        if names.count(name) > 1:
+            raise InputError(f"expected folders of different names; got several called {name}")
+        for folder in (Path(arguments.out, part, name) for part in PARTS):
+            # Whoever is left there from another split would be in both parts.
+            if folder.is_dir() and any(folder.iterdir()):
+                raise InputError(f"--out: expected no files in {folder}; delete them, or take another folder")
+    for dataset, of_dataset in zip(datasets, names, strict=True):
         parts = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed)
-        counts = dict.fromkeys(("train", "test"), 0)
+        counts = dict.fromkeys(PARTS, 0)
         for face, part in zip(dataset.faces, parts, strict=True):
             name = "test" if part == arguments.fold else "train"
-            folder = out_folder(str(Path(arguments.out, name, Path(path).name)))
+            folder = out_folder(str(Path(arguments.out, name, of_dataset)))
             for file in (face.image, face.image.with_suffix(".pts")):
-                link = folder / file.name
-                link.unlink(missing_ok=True)
-                os.symlink(file.resolve(), link)
+                os.symlink(file.resolve(), folder / file.name)
             counts[name] += 1
         print(f"{dataset.spec}: {counts['train']} faces to train, {counts['test']} to test")
     return 0

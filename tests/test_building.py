@@ -39,13 +39,28 @@ def test_splits_never_split_a_person(tmp_path: Path, monkeypatch: pytest.MonkeyP
     faces = labelled_people(tmp_path / "faces")
     command = ["split.py", "--data", f"pts:{faces}", "--folds", "4", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", command)
-    for _ in range(2):  # again into the same folders
-        assert script("split").main() == 0
+    assert script("split").main() == 0
     train, test = (jaxfit.read_dataset(f"pts:{tmp_path / part / 'faces'}").faces for part in ("train", "test"))
     assert (len(train), len(test)) == (18, 6)
     assert not {face.subject for face in train} & {face.subject for face in test}
     of_all = {face.face: face.landmarks for face in jaxfit.read_dataset(f"pts:{faces}").faces}
     np.testing.assert_array_equal(test[0].landmarks, of_all[test[0].face])
+
+
+def test_splits_touch_no_files_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of another split, which would put people into both parts, or the dataset's own."""
+    faces = labelled_people(tmp_path / "faces")
+    for data, fold in ((faces, "0"), (faces, "1"), (tmp_path / "train" / "faces", "0")):
+        files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+        command = ["split.py", "--data", f"pts:{data}", "--fold", fold, "--folds", "4", "--out", str(tmp_path)]
+        monkeypatch.setattr(sys, "argv", command)
+        first = not (tmp_path / "train").exists()
+        assert script("split").main() == (0 if first else 2)
+        if not first:
+            assert "delete them" in capsys.readouterr().err
+            assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
 
 
 @pytest.mark.parametrize("wrong", [["--fold", "5"], ["--folds", "9"], ["--data", "lfpw:somewhere"]])

@@ -2,8 +2,10 @@
 
 import argparse
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.data.datasets import parse_spec
 from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.exceptions import InputError
 from jaxfit.lifting import fill_labels, lift_labels, share_labels
@@ -78,6 +80,7 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
     parts = [dataset.faces for dataset in datasets]
+    sources = [_source(dataset) for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
     if arguments.fill:
         head = load_head(arguments.head)
@@ -95,11 +98,21 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     for dataset, through_head, least_yaw, done in others:
         found = through_head(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), least_yaw)
         parts.append(found.faces)
+        sources.append(_source(dataset))
         problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]
         print(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {scheme.name}")
-    # A person of the same name in another dataset is another person.
-    faces = [replace(face, subject=f"{number}/{face.subject}") for number, part in enumerate(parts) for face in part]
+    # A person of the same name in another dataset is another person, but one of a dataset that is lifted and shared.
+    faces = [
+        replace(face, subject=f"{sources.index(source)}/{face.subject}")
+        for source, part in zip(sources, parts, strict=True)
+        for face in part
+    ]
     return LabelledFaces(_without(faces, read_datasets(arguments.without, None)), scheme, problems)
+
+
+def _source(dataset: Dataset) -> Path:
+    """Where a dataset lies, whatever is made of its labels."""
+    return Path(parse_spec(dataset.spec)[2]).resolve()
 
 
 def _without(faces: list[FaceRecord], tested: list[Dataset]) -> list[FaceRecord]:
