@@ -12,6 +12,7 @@ from jax import numpy as jnp
 from safetensors.numpy import load as parse_tensors
 
 from jaxfit.cascade.finetune import Progressed, Tuning, finetune_cascade
+from jaxfit.cascade.fit import ANY_ROTATION
 from jaxfit.cascade.train import Progress, TrainingSet
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.images import read_grey
@@ -23,8 +24,8 @@ from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.heads import DEFAULT_HEAD, load_head
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import require_alone
-from jaxfit.shapes.schemes import Scheme
-from jaxfit.training import cut_faces, training_set, usable_faces
+from jaxfit.shapes.schemes import Scheme, mirror_order
+from jaxfit.training import cut_faces, start_turn, training_set, usable_faces
 
 _CHECKPOINT = "jaxfit-finetuning"
 _FORMAT = 1
@@ -56,6 +57,7 @@ def finetune(
     tuning: Tuning | None = None,
     validation: float = 0.1,
     mirror: bool = True,
+    head: str | Path = DEFAULT_HEAD,
     checkpoint: str | Path | None = None,
     progress: Progress = _SILENT,
     read: Callable[[Path], np.ndarray] = read_grey,
@@ -64,6 +66,7 @@ def finetune(
 
     Faces with missing landmarks teach those that they have. Where such a face lies is told by a 3D head model, which
     must have the model's landmarks; those that it does not explain are left out and reported, like unreadable pictures.
+    Starts are drawn as in training: turned, too, if the model was made for several initialisations.
 
     Args:
         model: a trained model.
@@ -71,14 +74,15 @@ def finetune(
         tuning: how; None for the defaults.
         validation: share of the people who are kept aside to choose the best epoch by; with 0 the last one is taken.
         mirror: learn from mirrored pictures too.
+        head: 3D head model, a bundled one's name or a file, that tells where faces with missing landmarks lie.
         checkpoint: a file that is written after each epoch; if it exists, fine-tuning goes on from there.
         progress: called with a stage's name, what is done and what there is to do.
         read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
 
     Raises:
-        InputError: labels of another number of landmarks, a share out of range, too few faces or people, a checkpoint
-            of something else, or several processes.
-        ModelError: a damaged checkpoint.
+        InputError: labels of another number of landmarks, a share out of range, too few faces or people, landmarks
+            that cannot be mirrored, fits that run away, a checkpoint of something else, or several processes.
+        ModelError: a damaged checkpoint, or no such head model.
     """
     require_alone("fine-tuning")
     tuning, scheme = tuning or Tuning(), model.scheme
@@ -86,7 +90,9 @@ def finetune(
         raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
     if not 0 <= validation < 1:
         raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
-    placed, problems = _placed(faces, scheme)
+    if mirror:
+        mirror_order(scheme)
+    placed, problems = _placed(faces, scheme, head)
     usable, flat = usable_faces([face for face, _ in placed], scheme)
     problems += flat
     if len(usable) < 2:
@@ -116,6 +122,7 @@ def finetune(
         some(rows[aside]) if aside.any() else None,
         placement.spread,
         tuning,
+        turn=start_turn(model.training.get("initialisations", 1), model.training.get("rotations", ANY_ROTATION)),
         progress=progress,
         keep=kept.write if kept else lambda progressed: None,
         resume=kept.read if kept else lambda begun: begun,
@@ -154,14 +161,16 @@ def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) 
     return finetune(model, faces, **told, **how).model
 
 
-def _placed(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[tuple[FaceRecord, np.ndarray]], list[str]]:
+def _placed(
+    faces: Sequence[FaceRecord], scheme: Scheme, head: str | Path
+) -> tuple[list[tuple[FaceRecord, np.ndarray]], list[str]]:
     """Faces with all landmarks, guessed by a 3D head model where they are not known, and (L,) bool: which are labelled.
 
     Also how many were left out, as it does not explain them, and why.
     """
     known = [bool(np.isfinite(face.landmarks).all()) for face in faces]
     unknown = [face for face, whole in zip(faces, known, strict=True) if not whole]
-    filled = fill_labels(unknown, scheme, load_head(DEFAULT_HEAD)) if unknown else Lifted((), ())
+    filled = fill_labels(unknown, scheme, load_head(head)) if unknown else Lifted((), ())
     found = {(face.image, face.face): face.landmarks for face in filled.faces}
     placed, all_of_them = [], np.ones(scheme.count, bool)
     for face, whole in zip(faces, known, strict=True):

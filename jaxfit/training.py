@@ -29,7 +29,7 @@ from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.shapes.asm import likely_radius
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace, mean_face
-from jaxfit.shapes.schemes import Scheme, mirrored
+from jaxfit.shapes.schemes import Scheme, mirror_order, mirrored
 from jaxfit.shapes.similarity import SimilarityASM, learn_similarity_asm
 from jaxfit.shapes.space import ShapeSpace
 
@@ -224,6 +224,8 @@ def train(
     if len(complete) < 2:
         raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
     descriptor, frame = seen(method, options)
+    if options.mirror:
+        mirror_order(scheme)
     # A head model without these landmarks stops before the work.
     solid = _camera_asm(np.empty(0), scheme, options, frame.face) if METHODS[method].in_3d else None
     landmarks = np.stack([face.landmarks for face in complete])
@@ -272,7 +274,7 @@ def train(
         ridge=options.ridge,
         rank=options.rank,
         seed=options.seed,
-        turn=_turn(options),
+        turn=start_turn(options.initialisations, options.rotations),
         axes=axes,
         progress=progress,
     )
@@ -296,14 +298,14 @@ def seen(method: str, options: Options) -> tuple[Descriptor, Frame]:
     return descriptor, options.frame or descriptor.frame
 
 
-def _turn(options: Options) -> float:
-    """By how much starts are turned in training, at most, in radians.
+def start_turn(initialisations: int, rotations: Sequence[float]) -> float:
+    """By how much starts are turned in training, at most, in radians, for `Options` with these.
 
     The fits of most starts must come to the face wherever in the range it lies, lest their centroid be elsewhere.
     Reaching over half the range would do, if all fits from within reach succeeded.
     """
-    low, high = options.rotations
-    return 0.0 if options.initialisations == 1 else min(float(np.radians(_REACH * (high - low))), np.pi)
+    low, high = rotations
+    return 0.0 if initialisations == 1 else min(float(np.radians(_REACH * (high - low))), np.pi)
 
 
 def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:

@@ -32,6 +32,7 @@ from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import ImageError, InputError
 from jaxfit.finetuning import retuned
+from jaxfit.models.heads import DEFAULT_HEAD, bundled_heads
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import require_alone
 from jaxfit.shapes.schemes import mirrored
@@ -98,6 +99,7 @@ def learn_confidence(
     subjects: Sequence[str] | None = None,
     folds: int = 3,
     seed: int = 0,
+    head: str | Path | None = None,
     read: _Read | None = None,
     progress: _Progress = _SILENT,
 ) -> Model:
@@ -108,31 +110,34 @@ def learn_confidence(
 
     Args:
         model: what to teach; its confidence, if it has one, is replaced.
-        faces: labelled faces, best those that the model was trained on; those with missing landmarks are left out.
+        faces: labelled faces, best those that the model was trained on; those with missing landmarks take part in
+            fine-tuning alone.
         subjects: who is seen on each of the faces, if not as they say themselves.
         folds: how many models are trained.
         seed: of folds, starts and the network.
+        head: the 3D head model that the model was trained with: needed where it is no bundled one, as model files do
+            not say where it lies.
         read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
         progress: called with a stage's name, what is done and what there is to do.
 
     Raises:
         InputError: labels of another number of landmarks, no eye corners, fewer people than folds, fits that are all
-            good or all bad, a model that does not say how it was trained, or several processes.
+            good or all bad, a model that does not say how it was trained, another head model, or several processes.
+        ModelError: no such head model.
     """
     require_alone("learning a confidence")
     read = read or GreyPictures()
-    method, options = training_of(model)
-    whole = [number for number, face in enumerate(faces) if face.complete]
-    people = [faces[number].subject if subjects is None else subjects[number] for number in whole]
+    method, options = training_of(model, head)
+    people = [face.subject for face in faces] if subjects is None else list(subjects)
     parts = split_by_subject(people, folds, seed)
     projection: Projection | None = None
     seen: list[_Seen] = []
     for fold in range(folds):
         told = partial(_told, progress, f"fold {fold + 1}/{folds}: ")
-        learned = [faces[number] for number, part in zip(whole, parts, strict=True) if part != fold]
-        tested = [faces[number] for number, part in zip(whole, parts, strict=True) if part == fold]
+        learned = [face for face, part in zip(faces, parts, strict=True) if part != fold]
+        tested = [face for face, part in zip(faces, parts, strict=True) if part == fold]
         trained = train(learned, model.scheme, method=method, options=options, progress=told, read=read).model
-        trained = retuned(trained, model, learned, progress=told, read=read)
+        trained = retuned(trained, model, learned, head=head or DEFAULT_HEAD, progress=told, read=read)
         drawn = _drawn(trained, tested, seed, read, told)
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
@@ -171,11 +176,16 @@ def try_fits(
     return replace(trials, confidence=told.astype(np.float64))
 
 
-def training_of(model: Model) -> tuple[str, Options]:
+def training_of(model: Model, head: str | Path | None = None) -> tuple[str, Options]:
     """The method and the options that a model was trained with, but for the Haar detectors.
 
+    Args:
+        model: the model.
+        head: the 3D head model that it was trained with, if it was: a bundled one's name, or a file; None for the
+            bundled one that it names.
+
     Raises:
-        InputError: it does not say.
+        InputError: it does not say how, or it was trained with another head model.
     """
     known = {field.name for field in fields(Options)}
     told: dict[str, Any] = {
@@ -186,6 +196,11 @@ def training_of(model: Model) -> tuple[str, Options]:
     if model.training.get("method") not in METHODS or "windows" not in told:
         raise InputError(f"expected a model that says how it was trained, as jaxfit.train makes; got {model.training}")
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
+    if "head" in told:
+        if Path(head or told["head"]).name != told["head"] or (head is None and told["head"] not in bundled_heads()):
+            given = "none was given" if head is None else f"got {head}"
+            raise InputError(f"expected the 3D head model {told['head']}, which the model was trained with; {given}")
+        told["head"] = str(head or told["head"])
     return model.training["method"], replace(Options(**told), haar=False, descriptor=descriptor, frame=frame)
 
 
@@ -333,12 +348,14 @@ def _tried(
     return landmarks, jax.vmap(of_clues)(clues)
 
 
-def _fitted(model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress) -> tuple[Trials, np.ndarray]:
-    """Fits of what was drawn, in one pass and in two, and what ``of_clues`` makes of each fit's clues; models that are
+def _fitted(
+    model: Model, drawn: _Drawn, of_clues: Any, progress: _Progress, often: Sequence[int] = _PASSES
+) -> tuple[Trials, np.ndarray]:
+    """Fits of what was drawn, in so many passes each, and what ``of_clues`` makes of each fit's clues; models that are
     made for several starts fit from one and from several."""
     several = model.training.get("initialisations", 1)
     turns = [None] if several == 1 else [None, start_rotations(several, _rotations(model))]
-    ways = [(turn, passes) for turn in turns for passes in _PASSES]
+    ways = [(turn, passes) for turn in turns for passes in often]
     count = len(drawn.crops)
     landmarks, made = [], []
     for way in ways:
@@ -367,7 +384,7 @@ def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
     """Principal axes of the descriptors of some fits."""
     chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_PCA_SAMPLES]
     some = _Drawn(*(part[chosen] for part in drawn))
-    _, features = _fitted(model, some, _Features(), _SILENT)
+    _, features = _fitted(model, some, _Features(), _SILENT, _PASSES[:1])
     found = principal_axes(jnp.asarray(features[:_PCA_SAMPLES]), _VARIANCE)
     return Projection(found.mean, found.axes[:, :_MOST_AXES])
 

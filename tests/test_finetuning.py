@@ -1,20 +1,29 @@
 """Fine-tuning models on labelled faces: in 2D and 3D, with hidden points, people kept aside, killed and resumed."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 import pytest
 from drawn_heads import OPTIONS
+from jax import numpy as jnp
+from jax import random
 
 import jaxfit
+from jaxfit import finetuning
+from jaxfit.cascade import finetune
 from jaxfit.data.boxes import bounding_square, jitter
+from jaxfit.data.images import read_grey
 from jaxfit.data.records import FaceRecord
 from jaxfit.exceptions import InputError, ModelError
 from jaxfit.finetuning import _kept_aside, retuned
 from jaxfit.image.disturb import Disturbance
+from jaxfit.models.heads import load_head, save_head
 from jaxfit.shapes.schemes import AFLW21
+from jaxfit.training import cut_faces, training_set
 
 MILD = Disturbance(0.05, 0.03, 0.0, 0.1, 1.0, 0.1)
 TUNING = jaxfit.Tuning(epochs=2, batch=8, dropped=0.1, disturbance=MILD)
@@ -61,6 +70,57 @@ def test_in_3d_shapes_and_poses_are_learned(head_models, heads) -> None:
     pictures, poses = [face.image for face in heads], np.stack([face.pose for face in heads])
     before, after = (jaxfit.fit(each, pictures, boxes).pose for each in (model, tuned.model))
     assert np.abs(after - poses).mean() < 0.9 * np.abs(before - poses).mean()
+
+
+@pytest.mark.parametrize("method", ["regression3d", "alignment3d"])
+def test_gradients_of_shape_models_are_those_of_finite_differences(head_models, heads, method: str) -> None:
+    cascade = head_models[method].cascade
+    crops, landmarks, _ = crops_of(head_models[method], heads[:4])
+    faces = training_set(crops, landmarks, np.stack([bounding_square(each) for each in landmarks]), np.arange(4), None)
+    batch = finetune._batch_of(faces, finetune._depths(cascade, faces), np.arange(4))
+    drawn = finetune._Drawn(0.5 * head_models[method].placement("square").spread.sigmas, jnp.float32(0))
+    states = finetune._starts(cascade, random.split(random.key(0), 4), batch.pivots, drawn)
+    levels = finetune._levels(cascade)
+    # What is seen has its own test; SIFT, whose bins have borders, would hide small errors of the shape model's here.
+    cascade = replace(cascade, weights=tuple(map(jnp.zeros_like, cascade.weights)))
+
+    @jax.jit
+    def loss(by):
+        moved = replace(cascade, biases=cascade.biases + by)
+        return finetune._loss(moved, levels, batch, states, random.key(1), 0.0)
+
+    slopes = jax.grad(loss)(jnp.zeros_like(cascade.biases))
+    step = 0.01 * jnp.linalg.norm(cascade.biases) / jnp.linalg.norm(slopes) * slopes
+    one, two = (loss(by) - loss(-by) for by in (0.5 * step, step))
+    np.testing.assert_allclose((8 * one - two) / 6, jnp.vdot(slopes, step), rtol=0.02)
+
+
+def test_depths_stay_those_of_the_disturbed_picture(head_models, heads) -> None:
+    """A head that is turned in the picture and scaled is as deep as one that was seen so."""
+    model = head_models["regression3d"]
+    crops, landmarks, _ = crops_of(model, heads[:4])
+    faces = training_set(crops, landmarks, np.stack([bounding_square(each) for each in landmarks]), np.arange(4), None)
+    # Landmarks that a head of the shape model has, seen by a camera.
+    space = model.cascade.space
+    seen = jax.vmap(lambda points: space.landmarks(space.encode(points)))(jnp.asarray(faces.landmarks))
+    faces = replace(faces, landmarks=np.asarray(seen))
+    batch = finetune._batch_of(faces, finetune._depths(model.cascade, faces), np.arange(4))
+    amounts = Disturbance(0.4, 0.3, 0.0, 0.0, 0.0, 0.0)
+    disturbed = finetune._disturbed(random.key(0), batch, amounts, model.cascade.frame.middle)
+    again = finetune._depths(model.cascade, replace(faces, landmarks=np.asarray(disturbed.landmarks)))
+    ratio = np.ptp(again, axis=1) / np.ptp(batch.depths, axis=1)
+    assert np.abs(ratio - 1).max() > 0.1
+    np.testing.assert_allclose(disturbed.depths, again, atol=0.01)
+
+
+def crops_of(model: jaxfit.Model, faces: Sequence[FaceRecord]) -> tuple[Any, np.ndarray, list[str]]:
+    """The crops of faces, and their labels in pictures."""
+    landmarks = np.stack([face.landmarks for face in faces])
+    squares = np.stack([bounding_square(each) for each in landmarks])
+    crops, _, problems = cut_faces(
+        faces, squares, model.placement("square"), model.cascade.frame, read_grey, lambda *_: None
+    )
+    return crops, landmarks, problems
 
 
 def partly(face: FaceRecord, present: np.ndarray) -> FaceRecord:
@@ -148,6 +208,30 @@ def test_models_are_fine_tuned_alike(cautious, heads) -> None:
         retuned(cautious, silent, heads)
 
 
+def test_starts_are_turned_as_the_model_was_made_for(cautious, heads, monkeypatch) -> None:
+    turns = []
+
+    def watched(cascade, *_, turn, **__):
+        turns.append(turn)
+        return cascade, []
+
+    monkeypatch.setattr(finetuning, "finetune_cascade", watched)
+    for told in ({}, {"initialisations": 3, "rotations": [-40, 40]}):
+        jaxfit.finetune(replace(cautious, training=cautious.training | told), heads, validation=0.0)
+    assert turns == [0.0, pytest.approx(np.radians(0.7 * 80))]
+
+
+def test_a_head_model_of_ones_own_places_faces(cautious, heads, tmp_path: Path) -> None:
+    some = np.arange(21) > 3
+    hidden = [partly(face, some) for face in heads]
+    with pytest.raises(ModelError, match="mine"):
+        jaxfit.finetune(cautious, hidden, head=tmp_path / "mine.safetensors")
+    save_head(load_head(), tmp_path / "mine.safetensors")
+    own = jaxfit.finetune(cautious, hidden, tuning=TUNING, validation=0.0, head=tmp_path / "mine.safetensors").model
+    bundled = jaxfit.finetune(cautious, hidden, tuning=TUNING, validation=0.0).model
+    np.testing.assert_allclose(own.cascade.weights[0], bundled.cascade.weights[0], atol=1e-6)
+
+
 def test_wrong_arguments(cautious, heads, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected labels of 21 landmarks"):
         jaxfit.finetune(cautious, [replace(heads[0], landmarks=np.zeros((5, 2)))])
@@ -157,6 +241,9 @@ def test_wrong_arguments(cautious, heads, tmp_path: Path) -> None:
         jaxfit.finetune(cautious, heads[:1])
     with pytest.raises(InputError, match="two people or more"):
         jaxfit.finetune(cautious, [replace(face, subject="one") for face in heads])
+    sided = replace(cautious, scheme=replace(AFLW21, mirror=None))
+    with pytest.raises(InputError, match="no mirror order"):
+        jaxfit.finetune(sided, [replace(face, image=Path("unread.png")) for face in heads])
     missing = [replace(face, image=tmp_path / "missing.png") for face in heads]
     with pytest.raises(InputError, match="at least two readable pictures; got 0"):
         jaxfit.finetune(cautious, missing)

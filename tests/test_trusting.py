@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -162,6 +163,40 @@ def test_a_model_says_how_it_was_trained(model) -> None:
     assert options == replace(told, frame=model.cascade.frame)
     with pytest.raises(InputError, match="says how it was trained"):
         trusting.training_of(replace(model, training={}))
+
+
+def test_the_head_model_that_a_model_was_trained_with_is_asked_for(model) -> None:
+    solid = replace(model, training=model.training | {"method": "regression3d", "head": "ict-facekit"})
+    assert trusting.training_of(solid)[1].head == "ict-facekit"
+    own = replace(solid, training=solid.training | {"head": "mine.safetensors"})
+    for given in (None, "ict-facekit", "other.safetensors"):
+        with pytest.raises(InputError, match="expected the 3D head model mine"):
+            trusting.training_of(own, given)
+    assert trusting.training_of(own, "a/mine.safetensors")[1].head == "a/mine.safetensors"
+
+
+def test_incomplete_faces_take_part_in_fine_tuning_alone(model, heads, monkeypatch) -> None:
+    learned, tested = [], []
+
+    class Enough(Exception):
+        pass
+
+    def tuned(of, like, faces, **_):
+        learned.extend(faces)
+        return of
+
+    def drawn(of, faces, *_):
+        tested.extend(faces)
+        raise Enough
+
+    monkeypatch.setattr(trusting, "train", lambda *_, **__: SimpleNamespace(model=model))
+    monkeypatch.setattr(trusting, "retuned", tuned)
+    monkeypatch.setattr(trusting, "_drawn", drawn)
+    partial = [replace(face, present=np.arange(21) > 3) for face in heads[::2]]
+    with pytest.raises(Enough):
+        jaxfit.learn_confidence(model, [*heads[1::2], *partial], folds=2)
+    assert {face.complete for face in learned} == {True, False}
+    assert not {face.subject for face in learned} & {face.subject for face in tested}
 
 
 def test_what_cannot_be_learned_from_is_refused(model, heads) -> None:

@@ -30,6 +30,7 @@ _BEND = 0.02
 # What a step's error counts, as a share of the next one's.
 _EARLIER = 0.6
 _WARM_UP = 0.05  # of the steps of the optimiser, in which its rate grows to the full one
+_BEGIN = 0.1  # of the full rate, at the very first
 _CLIP = 1.0  # norm of the gradient
 _CHECKED_AT_ONCE = 256
 
@@ -39,7 +40,8 @@ class Tuning:
     """How to fine-tune.
 
     Attributes:
-        epochs: how often each face is seen, each time from another start and in another disturbance.
+        epochs: how often each face is seen, each time from another start and in another disturbance. A few are seen
+            once more, to fill an epoch's last batch.
         rate: of learning (Adam), at its highest, relative to the size of what is tuned; it falls to nothing along half
             a cosine.
         batch: faces a step of the optimiser.
@@ -102,6 +104,7 @@ def finetune_cascade(
     spread: Spread,
     tuning: Tuning,
     *,
+    turn: float = 0.0,
     progress: Progress = lambda stage, done, total: None,
     keep: Callable[[Progressed], None] = lambda progressed: None,
     resume: Callable[[Progressed], Progressed] = lambda begun: begun,
@@ -117,6 +120,7 @@ def finetune_cascade(
         check: faces of other people, by whose errors the best epoch is chosen; None: the last is.
         spread: of the Monte Carlo starts.
         tuning: how.
+        turn: by how much starts are turned about the face, at most, in radians.
         progress: called with the stage's name, what is done and what there is to do.
         keep: called after each epoch with all that is needed to go on from there.
         resume: is given what fine-tuning would begin with, and returns what it shall, as ``keep`` was given it.
@@ -126,36 +130,43 @@ def finetune_cascade(
         canonical face, before and after each epoch; NaN if there are none.
 
     Raises:
-        InputError: no faces, or a descriptor that has no gradient.
+        InputError: no faces, or no finite gradient in a whole epoch: fits run away.
     """
     count = len(faces.source)
     if count == 0:
         raise InputError("expected faces to learn from; got none")
-    batches = max(1, count // tuning.batch)
+    batches = -(-count // tuning.batch)
     optimiser = _optimiser(tuning, batches)
     learned = Learned(cascade.weights, cascade.biases, cascade.directions)
     depths = _depths(cascade, faces)
-    checked = partial(_checked, cascade, check, None if check is None else _depths(cascade, check), spread, tuning)
+    drawn = _Drawn(spread.sigmas * tuning.spread, jnp.float32(turn))
+    of_checked = None if check is None else _depths(cascade, check)
+    checked = partial(_checked, cascade, check, of_checked, drawn._replace(sigmas=spread.sigmas), tuning)
     state = resume(Progressed(learned, optimiser.init(learned), learned, jnp.asarray([checked(learned)])))
     done = len(state.errors) - 1
     for epoch in range(done, tuning.epochs):
         # Both are overwritten in place.
         learned, of_optimiser = jax.tree.map(jnp.copy, (state.learned, state.optimiser))
         of_epoch = random.fold_in(random.key(tuning.seed), epoch)
-        order = np.asarray(random.permutation(of_epoch, count))
+        order = np.resize(np.asarray(random.permutation(of_epoch, count)), batches * tuning.batch)
         for number in range(batches):
             progress("fine-tuning", epoch * batches + number, tuning.epochs * batches)
-            rows = np.resize(order[number * tuning.batch : (number + 1) * tuning.batch], tuning.batch)
+            rows = order[number * tuning.batch : (number + 1) * tuning.batch]
             learned, of_optimiser = _updated(
                 cascade,
                 learned,
                 of_optimiser,
                 _batch_of(faces, depths, rows),
                 random.fold_in(of_epoch, number),
-                spread.sigmas * tuning.spread,
+                drawn,
                 _levels(cascade),
                 tuning,
                 batches,
+            )
+        if of_optimiser.notfinite_count >= batches:
+            raise InputError(
+                f"fine-tuning ran away, with no finite gradient in epoch {epoch + 1}; expected a rate below "
+                f"{tuning.rate}, a smaller spread, or a cascade that is trained better"
             )
         error = checked(learned)
         best = learned if check is None or error <= jnp.nanmin(state.errors) else state.best
@@ -163,6 +174,13 @@ def finetune_cascade(
         keep(state)
     progress("fine-tuning", tuning.epochs * batches, tuning.epochs * batches)
     return _rounded(cascade, state.best), state.errors
+
+
+class _Drawn(NamedTuple):
+    """How starts are drawn: their standard deviations, and by how much they are turned at most, in radians."""
+
+    sigmas: Float[Array, "4"]
+    turn: Scalar
 
 
 class _Batch(NamedTuple):
@@ -187,8 +205,11 @@ def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray) -> _Batc
 
 def _optimiser(tuning: Tuning, batches: int) -> optax.GradientTransformation:
     steps = tuning.epochs * batches
-    rate = optax.warmup_cosine_decay_schedule(0.0, tuning.rate, max(1, round(_WARM_UP * steps)), max(2, steps))
-    return optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate))
+    rate = optax.warmup_cosine_decay_schedule(
+        _BEGIN * tuning.rate, tuning.rate, max(1, round(_WARM_UP * steps)), max(2, steps)
+    )
+    # A fit that runs away would take everything along: such a batch is left out.
+    return optax.apply_if_finite(optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate)), steps)
 
 
 def _sizes(cascade: Cascade) -> Learned:
@@ -303,7 +324,7 @@ def _updated(
     of_optimiser: Any,
     batch: _Batch,
     key: Array,
-    sigmas: Float[Array, "4"],
+    drawn: _Drawn,
     levels: tuple[int, ...],
     tuning: Tuning,
     batches: int,
@@ -311,7 +332,7 @@ def _updated(
     """What is learned, and the optimiser's state, after one batch."""
     of_pictures, of_starts, of_landmarks = random.split(key, 3)
     batch = _disturbed(of_pictures, _upright(batch), tuning.disturbance, cascade.frame.middle)
-    states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, sigmas)
+    states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, drawn)
 
     def loss(learned: Learned) -> Scalar:
         return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, tuning.dropped)
@@ -355,17 +376,17 @@ def _as_bytes(picture: Picture) -> Crop:
     return jnp.clip(jnp.round(picture), 0, 255).astype(jnp.uint8)
 
 
-def _starts(cascade: Cascade, keys: Array, pivots: Array, sigmas: Float[Array, "4"]) -> State:
-    return draw_states(cascade.descriptor, cascade.space, keys, pivots, 1, cascade.frame, sigmas, jnp.float32(0.0))
+def _starts(cascade: Cascade, keys: Array, pivots: Array, drawn: _Drawn) -> State:
+    return draw_states(cascade.descriptor, cascade.space, keys, pivots, 1, cascade.frame, *drawn)
 
 
 @partial(jax.jit, static_argnames="levels")
 def _errors(
-    cascade: Cascade, batch: _Batch, key: Array, sigmas: Float[Array, "4"], levels: tuple[int, ...]
+    cascade: Cascade, batch: _Batch, key: Array, drawn: _Drawn, levels: tuple[int, ...]
 ) -> Float[Array, "faces"]:
     """The mean distance of each face's known landmarks from the true ones after the last step."""
     batch = _upright(batch)
-    states = _starts(cascade, random.split(key, len(batch.crops)), batch.pivots, sigmas)
+    states = _starts(cascade, random.split(key, len(batch.crops)), batch.pivots, drawn)
     return jnp.nanmean(_distances_of_steps(cascade, levels, batch, states, _everything)[-1], 1)
 
 
@@ -373,7 +394,7 @@ def _checked(
     cascade: Cascade,
     faces: TrainingSet | None,
     depths: np.ndarray | None,
-    spread: Spread,
+    drawn: _Drawn,
     tuning: Tuning,
     learned: Learned,
 ) -> float:
@@ -386,7 +407,7 @@ def _checked(
         rows = np.resize(np.arange(first, min(first + size, count)), size)
         key = random.fold_in(random.key(tuning.seed), first)
         batch = _batch_of(faces, depths, rows)
-        found = _errors(_with(cascade, learned), batch, key, spread.sigmas, _levels(cascade))
+        found = _errors(_with(cascade, learned), batch, key, drawn, _levels(cascade))
         errors.append(np.asarray(found)[: count - first])
     # A fit that is lost counts as a face's side: how far it went tells nothing.
     return float(np.mean(np.minimum(np.nan_to_num(np.concatenate(errors), nan=1.0), 1.0)))

@@ -8,14 +8,14 @@ import numpy as np
 
 from jaxfit.cascade.finetune import Tuning
 from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head, model_target, require_folds, seed
-from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces
+from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.images import GreyPictures
 from jaxfit.exceptions import InputError
 from jaxfit.finetuning import finetune
 from jaxfit.image.disturb import Disturbance
 from jaxfit.models.files import load, save
-from jaxfit.trusting import learn_confidence
+from jaxfit.trusting import learn_confidence, training_of
 
 _HELP = {
     "epochs": "how often each face is seen",
@@ -81,6 +81,9 @@ def run(options: argparse.Namespace) -> int:
     found = read_faces(options)
     if found.scheme != model.scheme:
         raise InputError(f"{options.model} has the landmarks {model.scheme.name}; --data has {found.scheme.name}")
+    if options.confidence:
+        require_people(found, options.confidence)
+        training_of(model, options.head)
     checkpoint = out.with_name(f"{out.stem}.unfinished")
     read = GreyPictures()
     with Bars() as bars:
@@ -89,14 +92,17 @@ def run(options: argparse.Namespace) -> int:
             found.faces,
             tuning=tuning,
             validation=options.validation,
-            mirror=not options.no_mirror,
+            mirror=not options.no_mirror and model.scheme.mirror is not None,
+            head=options.head,
             checkpoint=checkpoint,
             progress=bars,
             read=read,
         )
         model = tuned.model
         if options.confidence:
-            model = learn_confidence(model, found.faces, folds=options.confidence, read=read, progress=bars)
+            model = learn_confidence(
+                model, found.faces, folds=options.confidence, head=options.head, read=read, progress=bars
+            )
     save(model, out)
     checkpoint.unlink(missing_ok=True)
     report_problems([*found.problems, *tuned.problems])

@@ -7,6 +7,7 @@ from pathlib import Path
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.data.datasets import parse_spec
 from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import InputError
 from jaxfit.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.models.heads import load_head
@@ -108,6 +109,16 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
         for face in part
     ]
     return LabelledFaces(_without(faces, read_datasets(arguments.without, None)), scheme, problems)
+
+
+def require_people(found: LabelledFaces, folds: int | None) -> None:
+    """Refuse more folds than there are people, before the work.
+
+    Raises:
+        InputError: there are more.
+    """
+    if folds:
+        split_by_subject([face.subject for face in found.faces], folds, 0)
 
 
 def _source(dataset: Dataset) -> Path:

@@ -15,7 +15,7 @@ from jaxfit.cli.arguments import (
     require_folds,
     training_options,
 )
-from jaxfit.cli.labelled_faces import add_faces, read_faces
+from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
 from jaxfit.data.images import GreyPictures, read_grey
@@ -62,6 +62,7 @@ def run(options: argparse.Namespace) -> int:
     if options.confidence:
         require_alone("learning a confidence")
     found = read_faces(options)
+    require_people(found, options.confidence)
     read = GreyPictures() if options.confidence or options.choose else read_grey
     of_training = training_options(options, found.scheme, options.method)
     chosen = None
@@ -73,7 +74,9 @@ def run(options: argparse.Namespace) -> int:
         trained = train(found.faces, found.scheme, options=of_training, **how)
         model = chosen.recorded(trained.model) if chosen else trained.model
         if options.confidence:
-            model = learn_confidence(model, found.faces, folds=options.confidence, read=read, progress=bars)
+            model = learn_confidence(
+                model, found.faces, folds=options.confidence, head=options.head, read=read, progress=bars
+            )
     if not is_first():
         return 0
     save(model, out)

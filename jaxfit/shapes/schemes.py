@@ -188,14 +188,23 @@ def scheme_of_count(count: int) -> Scheme:
     return Scheme(name=f"points{count}", count=count)
 
 
-def mirrored(landmarks: np.ndarray, width: int | float, scheme: Scheme) -> np.ndarray:
-    """Landmarks (..., L, 2) of the picture flipped left to right; ``width`` is the picture's, in pixels.
+def mirror_order(scheme: Scheme) -> tuple[int, ...]:
+    """``scheme.mirror``.
 
     Raises:
         InputError: the scheme does not say which points are mirror images of each other.
     """
     if scheme.mirror is None:
         raise InputError(f"scheme {scheme.name} has no mirror order; train without mirrored pictures")
-    flipped = np.asarray(landmarks)[..., list(scheme.mirror), :].copy()
+    return scheme.mirror
+
+
+def mirrored(landmarks: np.ndarray, width: int | float, scheme: Scheme) -> np.ndarray:
+    """Landmarks (..., L, 2) of the picture flipped left to right; ``width`` is the picture's, in pixels.
+
+    Raises:
+        InputError: the scheme does not say which points are mirror images of each other.
+    """
+    flipped = np.asarray(landmarks)[..., list(mirror_order(scheme)), :].copy()
     flipped[..., 0] = width - 1 - flipped[..., 0]
     return flipped

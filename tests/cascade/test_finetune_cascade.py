@@ -52,7 +52,8 @@ def loss_of(cascade, landmarks=None, dropped=0.0):
     """The loss as a function of what is learned."""
     faces = FACES if landmarks is None else replace(FACES, landmarks=landmarks)
     batch = finetune._upright(finetune._batch_of(faces, finetune._depths(cascade, faces), np.arange(8)))
-    states = finetune._starts(cascade, random.split(random.key(0), 8), batch.pivots, SPREAD.sigmas)
+    drawn = finetune._Drawn(SPREAD.sigmas, jnp.float32(0))
+    states = finetune._starts(cascade, random.split(random.key(0), 8), batch.pivots, drawn)
     levels = finetune._levels(cascade)
 
     @jax.jit
@@ -177,6 +178,55 @@ def test_a_landmark_that_nobody_labelled_is_learned_from_the_others_steps_alone(
 def test_wrong_options(wrong):
     with pytest.raises(InputError, match="expected epochs and batch >= 1"):
         Tuning(**wrong)
+
+
+def test_a_single_step_learns():
+    """Of one epoch and one batch, in which the rate has no time to grow."""
+    once = replace(TUNING, epochs=1, batch=COUNT)
+    cascade, _ = finetune_cascade(greedy(), FACES, None, SPREAD, once)
+    assert not np.array_equal(cascade.weights[0], greedy().weights[0])
+
+
+def test_each_face_is_seen_in_each_epoch(monkeypatch):
+    seen, batch_of = [], finetune._batch_of
+
+    def watched(faces, depths, rows):
+        seen.append(rows)
+        return batch_of(faces, depths, rows)
+
+    monkeypatch.setattr(finetune, "_batch_of", watched)
+    finetune_cascade(greedy(), FACES, None, SPREAD, replace(TUNING, epochs=2, batch=16))
+    for epoch in np.reshape(seen, (2, 48)):
+        counts = np.bincount(epoch, minlength=COUNT)
+        assert (counts.min(), counts.max()) == (1, 2)
+
+
+def test_starts_are_turned_as_far_as_training_had_them():
+    """Of a cascade that is tuned from upright starts alone, turned ones get worse."""
+    options = {"windows": (0.9, 0.6), "augmentations": 8, "variance": 1.0, "ridge": 3.0, "seed": 0}
+    before = train_cascade(SPACE, Patch(turns=True), FRAME, FACES, SPREAD, **options, turn=1.0)
+    tuning = replace(TUNING, epochs=6)
+    _, errors = finetune_cascade(before, FACES, CHECK, SPREAD, tuning, turn=1.0)
+    assert errors[-1] < errors[0]
+    upright, _ = finetune_cascade(before, FACES, None, SPREAD, tuning)
+    _, of_upright = finetune_cascade(upright, FACES, CHECK, SPREAD, replace(tuning, epochs=1), turn=1.0)
+    assert errors[-1] < 0.9 * of_upright[0]
+
+
+def test_fits_that_run_away_stop_it():
+    lost = replace(greedy(), biases=jnp.full_like(greedy().biases, jnp.nan))
+    with pytest.raises(InputError, match="no finite gradient in epoch 1"):
+        finetune_cascade(lost, FACES, None, SPREAD, TUNING)
+
+
+def test_a_face_that_runs_away_takes_no_other_along():
+    """Its batch is left out; what is without it is learned from."""
+    pivots = FACES.pivots.copy()
+    pivots[0] = np.nan
+    lost, calm = replace(FACES, pivots=pivots), replace(TUNING, epochs=1, disturbance=Disturbance(*[0.0] * 6))
+    cascade, _ = finetune_cascade(greedy(), lost, None, SPREAD, calm, turn=0.1)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(learned_of(cascade)))
+    assert not np.array_equal(cascade.weights[0], greedy().weights[0])
 
 
 def test_no_faces():

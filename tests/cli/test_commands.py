@@ -16,7 +16,8 @@ from drawing import TRAIN
 from drawn_heads import unlabelled
 
 import jaxfit
-from jaxfit.cli.main import main
+from jaxfit.cli.labelled_faces import read_faces
+from jaxfit.cli.main import main, parser
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.datasets import FORMATS
 from jaxfit.data.images import write_image
@@ -458,6 +459,27 @@ def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypat
     assert "this head model has no points of scheme none" in capsys.readouterr().err
     assert main([*command, "--head", "nobody"]) == 2
     assert "no head model 'nobody': expected one of the bundled head models" in capsys.readouterr().err
+
+
+def test_a_person_who_is_lifted_and_shared_is_one_person(heads, tmp_path: Path, monkeypatch) -> None:
+    """So that nobody is both learned from and kept aside."""
+    for name in ("here", "there"):
+        monkeypatch.setitem(FORMATS, name, lambda _: Dataset("", AFLW21, tuple(heads[:4]), ()))
+    specs = {"--data": f"here:{tmp_path}", "--lift": "there:x", "--share": "there:x"}
+    words = ["finetune", "model", "--out", "out", *(word for option in specs.items() for word in option)]
+    faces = read_faces(parser().parse_args(words)).faces
+    assert len(faces) == 12
+    subjects = [face.subject for face in faces]
+    assert subjects[4:8] == subjects[8:]
+    assert not set(subjects[:4]) & set(subjects[4:])
+
+
+def test_too_few_people_are_said_before_the_work(drawn: Path, model: Path, monkeypatch, capsys) -> None:
+    for command, work in (["train"], "train"), (["finetune", str(model)], "finetune"):
+        monkeypatch.setattr(f"jaxfit.cli.{work}.{work}", None)
+        out = str(drawn / "unwritten.safetensors")
+        assert main([*command, "--data", f"pts:{drawn}", "--out", out, "--confidence", "999"]) == 2
+        assert "from 2 to the number of subjects" in capsys.readouterr().err
 
 
 def test_training_on_filled_labels_with_a_confidence(heads, head_models, tmp_path: Path, monkeypatch, capsys) -> None:
