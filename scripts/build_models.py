@@ -49,9 +49,9 @@ RECIPES: dict[str, list[str]] = {
         "--validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
     ],
     "face21": [
-        f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --augmentations 10 --rank 24 "
+        f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --rank 24 "
         "--out {out}/face21.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{data}}/aflw {_WITHOUT} --epochs 12 "
+        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{data}}/aflw --fill {_WITHOUT} --epochs 12 "
         "--validation 0 --confidence 2 --out {out}/face21.safetensors",
     ],
     "fast68": [

@@ -1,8 +1,8 @@
 """What faces with missing landmarks teach: complete faces alone, filled by a head model, and fine-tuned with masks.
 
-A part of the people is kept aside. Four models learn from the others: from complete faces (greedy training, and tuned
+A part of the people is kept aside. Five models learn from the others: from complete faces (greedy training, and tuned
 end to end), and from all (greedy on landmarks that a 3D head model fills in, and tuned end to end by labelled ones
-alone). They are tested on complete faces, by the NMED over the outer eye corners, and on the labelled points of all, by
+alone, or by what was filled in as well). They are tested on complete faces, by the NMED over the outer eye corners, and on the labelled points of all, by
 the labelled yaw: mean distance in sides of the square around them. All fits start from the same boxes.
 """
 
@@ -66,18 +66,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Namespace) -> dict[str, Model]:
-    """The four models by their names."""
+    """The models by their names."""
     options = training_options(arguments, scheme, "sdm")
     tuning, read = jaxfit.Tuning(epochs=arguments.epochs, seed=arguments.seed), GreyPictures()
     complete = [face for face in faces if face.complete]
     filled = fill_labels(faces, scheme, load_head(arguments.head)).faces
     models = {}
     with Bars() as bars:
-        for name, given, tuned_by in (("complete faces", complete, complete), ("all faces", filled, faces)):
+        for name, given, ways in (
+            ("complete faces", complete, {"fine-tuned": complete}),
+            ("all faces", filled, {"fine-tuned": faces, "fine-tuned on guesses too": filled}),
+        ):
             made = jaxfit.train(given, scheme, options=options, read=read, progress=bars)
-            tuned = jaxfit.finetune(made.model, tuned_by, tuning=tuning, validation=0.0, read=read, progress=bars)
             models[f"{name} ({made.faces})"] = made.model
-            models[f"{name}, fine-tuned ({tuned.faces})"] = tuned.model
+            for way, tuned_by in ways.items():
+                tuned = jaxfit.finetune(made.model, tuned_by, tuning=tuning, validation=0.0, read=read, progress=bars)
+                models[f"{name}, {way} ({tuned.faces})"] = tuned.model
     return models
 
 
