@@ -2,8 +2,9 @@
 
 A part of the people is kept aside. Five models learn from the others: from complete faces (greedy training, and tuned
 end to end), and from all (greedy on landmarks that a 3D head model fills in, and tuned end to end by labelled ones
-alone, or by what was filled in as well). They are tested on complete faces, by the NMED over the outer eye corners, and on the labelled points of all, by
-the labelled yaw: mean distance in sides of the square around them. All fits start from the same boxes.
+alone, or by what was filled in as well). They are tested on complete faces, by the NMED over the outer eye corners, and
+on the labelled points of all, by the labelled yaw: mean distance in sides of the square around them. All fits start
+from the same boxes.
 """
 
 import argparse

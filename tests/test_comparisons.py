@@ -130,7 +130,7 @@ def test_faces_with_missing_points_teach_and_are_tested(heads: tuple[FaceRecord,
     monkey = {"training_options": lambda arguments, scheme, method: OPTIONS}
     module.trained.__globals__.update(monkey)
     models = module.trained(hidden, AFLW21, Namespace(epochs=2, seed=0, head=OPTIONS.head))
-    assert [name.rpartition(" (")[2] for name in models] == ["16)", "16)", "32)", "32)"]
+    assert [name.rpartition(" (")[2] for name in models] == ["16)", "16)", "32)", "32)", "32)"]
     complete, by_yaw = module.tested_on(models, hidden, AFLW21)
     assert [row[0] for row in rows_of(complete)] == list(models) == [row[0] for row in rows_of(by_yaw)]
     assert "Complete faces (16)" in complete
