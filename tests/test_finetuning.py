@@ -216,7 +216,7 @@ def test_starts_are_turned_as_the_model_was_made_for(cautious, heads, monkeypatc
         return cascade, []
 
     monkeypatch.setattr(finetuning, "finetune_cascade", watched)
-    for told in ({}, {"initialisations": 3, "rotations": [-40, 40]}):
+    for told in ({}, {"initialisations": 3, "rotations": [-40.0, 40.0]}):
         jaxfit.finetune(replace(cautious, training=cautious.training | told), heads, validation=0.0)
     assert turns == [0.0, pytest.approx(np.radians(0.7 * 80))]
 
