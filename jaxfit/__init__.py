@@ -20,14 +20,16 @@ from jaxfit.data.datasets import convert_dataset, read_dataset
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.images import read_image
 from jaxfit.data.overlays import draw_head, draw_landmarks
+from jaxfit.data.records import Dataset, FaceRecord
 from jaxfit.data.videos import Video
 from jaxfit.detecting import Found, find_faces
-from jaxfit.evaluating import evaluate
+from jaxfit.evaluating import Evaluation, evaluate, start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError, ProcessError
 from jaxfit.exporting import Exported, export_model, load_exported
 from jaxfit.finetuning import Finetuned, finetune
 from jaxfit.fitting import Fits, fit, warm_up
+from jaxfit.fusing import fuse
 from jaxfit.image.disturb import Disturbance
 from jaxfit.lifting import Lifted, fill_labels, lift_labels, share_labels
 from jaxfit.models.files import bundled, load, save
@@ -42,9 +44,12 @@ from jaxfit.trusting import Trials, learn_confidence, try_fits
 __all__ = [
     "BatchFitter",
     "Chosen",
+    "Dataset",
     "DatasetError",
     "Disturbance",
+    "Evaluation",
     "Exported",
+    "FaceRecord",
     "Finetuned",
     "Fits",
     "Found",
@@ -86,6 +91,7 @@ __all__ = [
     "fit_crops",
     "fit_face",
     "fit_heads",
+    "fuse",
     "join_processes",
     "learn_confidence",
     "lift_labels",
@@ -98,6 +104,7 @@ __all__ = [
     "save_head",
     "share_labels",
     "split_by_subject",
+    "start_boxes",
     "track",
     "train",
     "try_fits",

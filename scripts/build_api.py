@@ -18,6 +18,7 @@ GROUPS = {
     "Fitting": (
         "fit",
         "Fits",
+        "fuse",
         "warm_up",
         "find_faces",
         "Found",
@@ -30,7 +31,8 @@ GROUPS = {
     "Videos": ("track", "TrackedFrame", "TrackedFace", "Tracker", "OneEuro", "Video"),
     "The jitted function inside": ("crop_faces", "fit_crops", "fit_heads", "Heads", "fit_face"),
     "Labelled faces": (
-        *("read_dataset", "convert_dataset", "lift_labels", "fill_labels", "share_labels", "Lifted"),
+        *("read_dataset", "Dataset", "FaceRecord"),
+        *("convert_dataset", "lift_labels", "fill_labels", "share_labels", "Lifted"),
         "split_by_subject",
     ),
     "Training": (
@@ -48,7 +50,7 @@ GROUPS = {
         ),
         *("calibrate_boxes", "learn_confidence", "try_fits", "Trials"),
     ),
-    "Evaluation": ("evaluate",),
+    "Evaluation": ("evaluate", "Evaluation", "start_boxes"),
     "Several processes": ("join_processes",),
     "3D shape models": ("load_head", "save_head", "bundled_heads", "HeadModel"),
     "Export": ("export_model", "load_exported", "Exported"),

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 from compare_models import complete, write_report
-from jax import numpy as jnp
 
 import jaxfit
-from jaxfit.cascade.fit import centroid
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import bounding_square, jitter
@@ -30,6 +28,14 @@ from jaxfit.models.model import Model
 # Standard deviations of the boxes' places and logarithms of their sizes, in sides: as detectors' are, and worse.
 SPREADS = ((0.06, 0.08), (0.15, 0.2))
 ALONE = "one fit"
+FUSIONS = {
+    "centroid": "centroid",
+    "median": "median",
+    "mean": "mean",
+    "mean, weighted by confidence": "confidence",
+    "mean, weighted by odds": "odds",
+    "the surest": "surest",
+}
 
 
 def main() -> int:
@@ -69,35 +75,9 @@ def fused_errors(
     faces, read = complete(dataset), GreyPictures()
     pictures, squares = [read(face.image) for face in faces], [bounding_square(face.landmarks) for face in faces]
     fits = [jaxfit.fit(model, pictures, np.stack([moved(square) for square in squares])) for _ in range(starts)]
-    landmarks = np.stack([fit.landmarks for fit in fits], 1)  # (N, starts, L, 2)
-    confidence = np.stack([fit.confidence for fit in fits], 1)
     truth = np.stack([face.landmarks for face in faces])
-    return {name: nmed(fuse(landmarks, confidence), truth, dataset.scheme) for name, fuse in FUSIONS.items()}
-
-
-def _chosen(landmarks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    return landmarks[np.arange(len(landmarks)), numbers]
-
-
-def _centroids(landmarks: np.ndarray) -> np.ndarray:
-    """The number of each face's fit that is nearest to all others."""
-    return np.array([int(centroid(fits)) for fits in jnp.asarray(landmarks, jnp.float32)])
-
-
-def _weighted(landmarks: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    shares = weights / weights.sum(1, keepdims=True)
-    return np.einsum("ns,nslc->nlc", shares, landmarks)
-
-
-FUSIONS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
-    ALONE: lambda fits, sure: fits[:, 0],
-    "centroid": lambda fits, sure: _chosen(fits, _centroids(fits)),
-    "median": lambda fits, sure: np.median(fits, 1),
-    "mean": lambda fits, sure: fits.mean(1),
-    "mean, weighted by confidence": _weighted,
-    "mean, weighted by odds": lambda fits, sure: _weighted(fits, sure / (1.0001 - sure)),
-    "the surest": lambda fits, sure: _chosen(fits, sure.argmax(1)),
-}
+    found = {ALONE: fits[0].landmarks} | {name: jaxfit.fuse(fits, way) for name, way in FUSIONS.items()}
+    return {name: nmed(landmarks, truth, dataset.scheme) for name, landmarks in found.items()}
 
 
 def compared(errors: dict[str, np.ndarray], subjects: list[str]) -> str:

@@ -90,27 +90,6 @@ def test_models_of_one_name_cannot_be_compared(folder: Path, script: Any, capsys
     assert "expected models of different names" in capsys.readouterr().err
 
 
-def test_several_fits_become_one(script: Any) -> None:
-    fuse = script("fusion").FUSIONS
-    rng = np.random.default_rng(0)
-    # Four fits around the right place, one far off that nobody trusts.
-    fits = rng.normal(0, 1, (3, 5, 21, 2)) + 100
-    fits[:, 4] += 50
-    sure = np.tile([0.9, 0.8, 0.9, 0.95, 0.01], (3, 1))
-    found = {name: fusion(fits, sure) for name, fusion in fuse.items()}
-    assert all(of_way.shape == (3, 21, 2) for of_way in found.values())
-    np.testing.assert_array_equal(found["one fit"], fits[:, 0])
-    np.testing.assert_array_equal(found["the surest"], fits[:, 3])
-    np.testing.assert_allclose(found["mean"], fits.mean(1))
-    off = {name: np.abs(of_way - 100).mean() for name, of_way in found.items()}
-    assert off["mean"] > 8
-    assert off["median"] < 1
-    assert off["centroid"] < 1
-    assert off["mean, weighted by odds"] < 1
-    assert off["mean, weighted by confidence"] < 1
-    assert any((found["centroid"][0] == each).all() for each in fits[0])
-
-
 def test_fusion_needs_a_confidence(folder: Path, script: Any, capsys: Any, monkeypatch: Any) -> None:
     command = ["fusion.py", str(folder / "good.safetensors"), "--data", f"pts:{folder / 'heads'}"]
     monkeypatch.setattr(sys, "argv", command)

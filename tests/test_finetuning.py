@@ -141,6 +141,15 @@ def test_hidden_landmarks(cautious, heads) -> None:
     assert tuned.problems == ("1 of 1 faces left out: fewer than 8 labelled points, or all on a line",)
 
 
+def test_landmarks_of_nan_are_missing_whatever_is_said_of_them(cautious, heads) -> None:
+    some = np.arange(21) > 3
+    said = [partly(face, some) if number % 2 else face for number, face in enumerate(heads)]
+    unsaid = [replace(face, present=np.ones(21, bool)) for face in said]
+    assert [face.complete for face in unsaid[:2]] == [True, False]
+    one, other = (jaxfit.finetune(cautious, faces, tuning=TUNING, validation=0.0).model for faces in (said, unsaid))
+    np.testing.assert_array_equal(one.cascade.weights[0], other.cascade.weights[0])
+
+
 def test_guessed_landmarks_do_not_count(cautious, heads) -> None:
     guessed = np.isin(np.arange(21), [7, 10, 14, 18])  # in the middle: the face's square stays what it is
     wrong = [face.landmarks + 5.0 * guessed[:, None] for face in heads]

@@ -75,12 +75,16 @@ def run(options: argparse.Namespace) -> int:
     out = model_target(options.out)
     require_folds(options, "confidence")
     model = load(options.model)
+    had_confidence = model.confidence is not None
     disturbance = Disturbance(**{option.name: getattr(options, option.name) for option in fields(Disturbance)})
     of_tuning = {option.name: getattr(options, option.name) for option in fields(Tuning) if option.name in _HELP}
     tuning = Tuning(**of_tuning, seed=options.seed, disturbance=disturbance)
     found = read_faces(options)
     if found.scheme != model.scheme:
-        raise InputError(f"{options.model} has the landmarks {model.scheme.name}; --data has {found.scheme.name}")
+        raise InputError(
+            f"{options.model} has the landmarks {model.scheme.name}; --data has {found.scheme.name}: convert them with "
+            f"--scheme {model.scheme.name} (from ibug68), or give them as --share beside others"
+        )
     if options.confidence:
         require_people(found, options.confidence)
         training_of(model, options.head)
@@ -110,5 +114,11 @@ def run(options: argparse.Namespace) -> int:
     if options.validation:
         best = int(np.nanargmin(tuned.errors))
         before, after = tuned.errors[[0, best]]
-        print(f"people kept aside: mean error {after:.4f} of the face's side after epoch {best}, {before:.4f} before")
+        print(
+            f"people kept aside: mean error {after:.4f} of the face's side after epoch {best}, {before:.4f} before"
+            if best
+            else f"people kept aside: no epoch was better than {before:.4f} of the face's side: the model is unchanged"
+        )
+    if had_confidence and not options.confidence:
+        print("its confidence was that of the model before, and is gone: --confidence learns it anew")
     return 0

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import jaxfit
+from jaxfit.cascade.fit import check_rotations
 from jaxfit.cli.arguments import (
     add_boxes,
     add_detector,
@@ -75,6 +76,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no face was fitted at all."""
+    check_rotations(options.initialisations, tuple(options.rotations))
     model = load(options.model)
     require_refinable(model, options.refine)
     boxes = given_boxes(options, model)

@@ -16,6 +16,8 @@ from jaxfit.shapes.schemes import scheme_of_count
 def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
     """Landmarks (L, 2) float64 of a ``.pts`` file, in pixels with pixel centres at integers, 0-based.
 
+    Points ``nan nan``, which are missing, are NaN.
+
     The header (``version``, ``n_points``, braces) may be missing: then every line is a point ``x y``.
 
     Args:
@@ -23,8 +25,8 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
         base: what the file calls the first pixel: 1 as iBUG does, or 0.
 
     Raises:
-        DatasetError: the file is missing, not a list of points, has another number of points than it says, or has
-            NaN or infinite coordinates.
+        DatasetError: the file is missing, not a list of points, has another number of points than it says, has infinite
+            coordinates or one that is NaN alone, or no point that is not missing.
         InputError: ``base`` is neither 0 nor 1.
     """
     _check_base(base)
@@ -43,6 +45,8 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
         raise DatasetError(f"{path}: expected lines 'x y', found no points")
     if declared is not None and declared != str(len(points)):
         raise DatasetError(f"{path}: says n_points: {declared} but lists {len(points)} points")
+    if np.isnan(points).all():
+        raise DatasetError(f"{path}: expected points, found none that is not missing (nan)")
     return np.array(points) - base
 
 
@@ -66,8 +70,8 @@ def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
 def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
 
-    All faces have the number of points that most files have; files that cannot be used become problems. A point at
-    (0, 0) is a point: the format has no mark for missing ones.
+    All faces have the number of points that most files have; files that cannot be used become problems. Points
+    ``nan nan`` are missing; a point at (0, 0) or (-1, -1) is a point.
 
     Args:
         folder: where the files are.
@@ -116,7 +120,7 @@ def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray
 
 
 def _record(picture: Path, landmarks: np.ndarray) -> FaceRecord:
-    present = np.ones(len(landmarks), bool)
+    present = np.isfinite(landmarks).all(1)
     # One or two trailing digits number the pictures of one subject; longer numbers are names (image_0001).
     numbered = re.fullmatch(r"(.+)_[0-9]{1,2}", picture.stem)
     return FaceRecord(
@@ -136,8 +140,9 @@ def _point(path: str | Path, number: int, line: str) -> tuple[float, float]:
         x, y = map(float, line.split())
     except ValueError:
         raise DatasetError(f"{path}, line {number}: expected two numbers 'x y', found {line.strip()!r}") from None
-    if not np.isfinite([x, y]).all():
-        raise DatasetError(f"{path}, line {number}: expected finite coordinates, found {line.strip()!r}")
+    if not (np.isfinite([x, y]).all() or np.isnan([x, y]).all()):
+        expected = "expected finite coordinates, or 'nan nan' for a missing point"
+        raise DatasetError(f"{path}, line {number}: {expected}, found {line.strip()!r}")
     return x, y
 
 

@@ -42,7 +42,7 @@ class FaceRecord:
     @property
     def complete(self) -> bool:
         """Whether every landmark is annotated; never true of a face that has none."""
-        return self.present.size > 0 and bool(self.present.all())
+        return self.present.size > 0 and bool(self.present.all() and np.isfinite(self.landmarks).all())
 
 
 @dataclass(frozen=True)

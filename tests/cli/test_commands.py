@@ -9,6 +9,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -472,6 +473,21 @@ def test_a_person_who_is_lifted_and_shared_is_one_person(heads, tmp_path: Path, 
     subjects = [face.subject for face in faces]
     assert subjects[4:8] == subjects[8:]
     assert not set(subjects[:4]) & set(subjects[4:])
+
+
+def test_fine_tuning_says_what_became_of_the_model(
+    drawn: Path, model: Path, tmp_path: Path, monkeypatch, capsys
+) -> None:
+    """Training and teaching themselves are left out."""
+    plain = jaxfit.load(model)
+    trusted = SimpleNamespace(scheme=plain.scheme, confidence="known")
+    tuned = jaxfit.Finetuned(plain, 3, np.array([0.1, 0.2]), ())
+    monkeypatch.setattr("jaxfit.cli.finetune.load", lambda _: trusted)
+    monkeypatch.setattr("jaxfit.cli.finetune.finetune", lambda *_, **__: tuned)
+    assert main(["finetune", str(model), "--data", f"pts:{drawn}", "--out", str(tmp_path / "out.safetensors")]) == 0
+    said = capsys.readouterr().out
+    assert "no epoch was better than 0.1000" in said
+    assert "--confidence learns it anew" in said
 
 
 def test_too_few_people_are_said_before_the_work(drawn: Path, model: Path, monkeypatch, capsys) -> None:

@@ -36,6 +36,15 @@ def test_text_survives_reading_and_writing(tmp_path_factory, points, base):
     np.testing.assert_allclose(read_pts(folder / "a.pts", base), points, atol=0.000501)
 
 
+def test_points_that_are_missing(tmp_path):
+    add_face(tmp_path, "a", 4)
+    (tmp_path / "a.pts").write_text("1 2\nnan nan\n3 4\nNaN NaN\n")
+    (face,) = read_pts_folder(tmp_path).faces
+    np.testing.assert_array_equal(face.landmarks, [[0, 1], [np.nan, np.nan], [2, 3], [np.nan, np.nan]])
+    np.testing.assert_array_equal(face.present, [True, False, True, False])
+    assert not face.complete
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -60,6 +69,7 @@ def test_spellings_of_the_same_points(tmp_path, text):
         (HEADER.replace("3 4.5", "3 four"), "line 5.*'3 four'"),
         (HEADER.replace("3 4.5", "3"), "line 5"),
         (HEADER.replace("3 4.5", "nan 1"), "line 5.*finite"),
+        ("nan nan\nnan nan\n", "none that is not missing"),
         (HEADER.replace("3 4.5", "1 inf"), "line 5.*finite"),
         ("version: 1\nn_points: 0\n{\n}\n", "no points"),
         ("", "no points"),
