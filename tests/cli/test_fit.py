@@ -111,6 +111,13 @@ def test_overwriting_an_unfinished_run(command, tmp_path: Path, monkeypatch) -> 
     assert len(rows_of(tmp_path / "out" / "landmarks.csv")) == 10
 
 
+def test_starts_that_cannot_be_are_refused_before_anything_is_written(command, tmp_path: Path, capsys) -> None:
+    for wrong in (["--initialisations", "2"], ["--rotations", "10", "-10"]):
+        assert main([*command, *wrong]) == 2
+        assert "at least three" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def _parsed(command):
     from jaxfit.cli.main import parser
 
