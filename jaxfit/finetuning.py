@@ -176,8 +176,7 @@ def _placed(
     for face, whole in zip(faces, known, strict=True):
         landmarks = face.landmarks if whole else found.get((face.image, face.face))
         if landmarks is not None:
-            labelled = face.present & np.isfinite(face.landmarks).all(1)
-            placed.append((replace(face, landmarks=landmarks, present=all_of_them), labelled))
+            placed.append((replace(face, landmarks=landmarks, present=all_of_them), face.known))
     return placed, list(filled.problems)
 
 

@@ -109,7 +109,7 @@ def share_labels(
     shared = []
     for n in found.kept:
         landmarks, present = found.target[n].copy(), np.zeros(target.count, bool)
-        present[other] = faces[n].present[own]
+        present[other] = faces[n].known[own]
         moved = landmarks[other] + faces[n].landmarks[own] - found.source[n][own]
         landmarks[other] = np.where(present[other, None], moved, landmarks[other])
         shared.append(replace(faces[n], landmarks=landmarks, present=present, visible=present.copy()))
@@ -139,7 +139,7 @@ def _explained(
 ) -> _Explained:
     given, wanted = head.indices(source), head.indices(target)
     model = head.of_points([*given, *wanted], _VARIANCE)
-    known = np.array([face.present for face in faces]).reshape(-1, source.count)
+    known = np.array([face.known for face in faces]).reshape(-1, source.count)
     labels = np.array([face.landmarks for face in faces]).reshape(-1, source.count, 2)
     labels = np.where(known[..., None], labels, np.nan)
     found = align_labels(model, np.pad(labels, ((0, 0), (0, target.count), (0, 0)), constant_values=np.nan))
@@ -187,7 +187,7 @@ def fill_labels(faces: Sequence[FaceRecord], scheme: Scheme, head: HeadModel) ->
         if face.complete:
             whole.append(face)
         elif other := filled.get((face.image, face.face)):
-            whole.append(replace(other, landmarks=np.where(face.present[:, None], face.landmarks, other.landmarks)))
+            whole.append(replace(other, landmarks=np.where(face.known[:, None], face.landmarks, other.landmarks)))
     return Lifted(tuple(whole), lifted.problems)
 
 

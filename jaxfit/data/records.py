@@ -40,6 +40,11 @@ class FaceRecord:
     pose_order: PoseOrder = "roll-pitch-yaw"
 
     @property
+    def known(self) -> np.ndarray:
+        """(L,) bool: which landmarks are annotated; those that are NaN are not, whatever ``present`` says."""
+        return self.present & np.isfinite(self.landmarks).all(1)
+
+    @property
     def complete(self) -> bool:
         """Whether every landmark is annotated; never true of a face that has none."""
         return self.present.size > 0 and bool(self.present.all() and np.isfinite(self.landmarks).all())
