@@ -47,7 +47,7 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
         print(f"jaxfit: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("jaxfit: stopped; no result is half-written, and what can go on does when it is run again", file=sys.stderr)
+        print("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
         return 130
 
 
