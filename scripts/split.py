@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 0 <= arguments.fold < arguments.folds:
         raise InputError(f"--fold: expected one of 0 to {arguments.folds - 1}; got {arguments.fold}")
     datasets = read_datasets(arguments.data, arguments.scheme)
-    names = [Path(parse_spec(dataset.spec)[2]).resolve().name for dataset in datasets]
+    names = [Path(parse_spec(dataset.spec)[2]).absolute().name for dataset in datasets]
     for dataset, name in zip(datasets, names, strict=True):
         if parse_spec(dataset.spec)[0] not in LABELS:
             raise InputError(f"expected datasets of the formats {', '.join(LABELS)}; got {dataset.spec}")

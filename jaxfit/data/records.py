@@ -47,7 +47,7 @@ class FaceRecord:
     @property
     def complete(self) -> bool:
         """Whether every landmark is annotated; never true of a face that has none."""
-        return self.present.size > 0 and bool(self.present.all() and np.isfinite(self.landmarks).all())
+        return self.known.size > 0 and bool(self.known.all())
 
 
 @dataclass(frozen=True)
