@@ -5,108 +5,65 @@
 >>> fits.landmarks  # (N, 68, 2), in the pixels of each image
 >>> heads = jaxfit.fit(jaxfit.load("face68-3d"), images)
 >>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
+
+What most people need is here; the rest lies in namespaces: ``jaxfit.cascade`` (the jitted functions inside),
+``jaxfit.data`` (pictures, boxes, overlays, detectors), ``jaxfit.errors``, ``jaxfit.evaluation``, ``jaxfit.export``,
+``jaxfit.fitting``, ``jaxfit.heads`` (3D head models), ``jaxfit.labels`` (labelled faces), ``jaxfit.learning``,
+``jaxfit.models``, ``jaxfit.runs`` (folders, collections, workers), ``jaxfit.schemes`` and ``jaxfit.experiments``.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-from jaxfit.batching import BatchFitter
-from jaxfit.calibrating import calibrate_boxes
-from jaxfit.cascade.finetune import Tuning
-from jaxfit.cascade.fit import Heads, fit_crops, fit_face, fit_heads
-from jaxfit.choosing import Chosen, Trial, choose_options
-from jaxfit.collecting import fit_collection
-from jaxfit.cropping import crop_faces
-from jaxfit.data.datasets import convert_dataset, read_dataset
-from jaxfit.data.detectors import detect_faces
-from jaxfit.data.images import read_image
-from jaxfit.data.overlays import draw_head, draw_landmarks
-from jaxfit.data.records import Dataset, FaceRecord
-from jaxfit.data.videos import Video
-from jaxfit.detecting import Found, find_faces
-from jaxfit.evaluating import Evaluation, evaluate, start_boxes
-from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import DatasetError, ImageError, InputError, JaxfitError, ModelError, ProcessError
-from jaxfit.exporting import Exported, export_model, load_exported
-from jaxfit.finetuning import Finetuned, finetune
-from jaxfit.fitting import Fits, fit, warm_up
-from jaxfit.fusing import fuse
-from jaxfit.image.disturb import Disturbance
-from jaxfit.lifting import Lifted, fill_labels, lift_labels, share_labels
-from jaxfit.models.files import bundled, load, save
-from jaxfit.models.heads import HeadModel, bundled_heads, load_head, save_head
-from jaxfit.models.model import Model
-from jaxfit.processes import join_processes
-from jaxfit.smoothing import OneEuro
-from jaxfit.tracking import TrackedFace, TrackedFrame, Tracker, track
-from jaxfit.training import Options, Trained, train
-from jaxfit.trusting import Trials, learn_confidence, try_fits
+from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
+from jaxfit.cascade import Greedy, Starts, Tuning
+from jaxfit.data import detect_faces, draw_head, draw_landmarks, read_image
+from jaxfit.errors import InputError, JaxfitError
+from jaxfit.evaluation import Evaluation, evaluate
+from jaxfit.fitting import Fits, crop_faces, export, fit, fuse, refine, track, warm_up
+from jaxfit.labels import read_dataset
+from jaxfit.learning import Options, finetune, train
+from jaxfit.models import Model, bundled, load, save
+from jaxfit.runs import FolderRun, fit_folder
 
 __all__ = [
-    "BatchFitter",
-    "Chosen",
-    "Dataset",
-    "DatasetError",
-    "Disturbance",
     "Evaluation",
-    "Exported",
-    "FaceRecord",
-    "Finetuned",
     "Fits",
-    "Found",
-    "HeadModel",
-    "Heads",
-    "ImageError",
+    "FolderRun",
+    "Greedy",
     "InputError",
     "JaxfitError",
-    "Lifted",
     "Model",
-    "ModelError",
-    "OneEuro",
     "Options",
-    "ProcessError",
-    "TrackedFace",
-    "TrackedFrame",
-    "Tracker",
-    "Trained",
-    "Trial",
-    "Trials",
+    "Starts",
     "Tuning",
-    "Video",
     "bundled",
-    "bundled_heads",
-    "calibrate_boxes",
-    "choose_options",
-    "convert_dataset",
+    "cascade",
     "crop_faces",
+    "data",
     "detect_faces",
     "draw_head",
     "draw_landmarks",
+    "errors",
     "evaluate",
-    "export_model",
-    "fill_labels",
-    "find_faces",
+    "evaluation",
+    "export",
     "finetune",
     "fit",
-    "fit_collection",
-    "fit_crops",
-    "fit_face",
-    "fit_heads",
+    "fit_folder",
+    "fitting",
     "fuse",
-    "join_processes",
-    "learn_confidence",
-    "lift_labels",
+    "heads",
+    "labels",
+    "learning",
     "load",
-    "load_exported",
-    "load_head",
+    "models",
     "read_dataset",
     "read_image",
+    "refine",
+    "runs",
     "save",
-    "save_head",
-    "share_labels",
-    "split_by_subject",
-    "start_boxes",
+    "schemes",
     "track",
     "train",
-    "try_fits",
     "warm_up",
 ]

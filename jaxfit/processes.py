@@ -24,7 +24,7 @@ from jax import numpy as jnp
 from jax.errors import JaxRuntimeError
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxfit.exceptions import InputError, ProcessError
+from jaxfit.errors import InputError, ProcessError
 
 T = TypeVar("T")
 

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 import jaxfit
 from jaxfit.cli.arguments import seed
 from jaxfit.cli.main import exit_code
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.models.heads import DEFAULT_HEAD, load_head
+from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.schemes.known import SCHEMES, scheme_named
 from jaxfit.shapes.alignment import Alignment, align_head, refine_head
 from jaxfit.shapes.camera import rotation_matrix
-from jaxfit.shapes.schemes import SCHEMES, scheme_named
 
 FACE = 120.0  # side of the mean face, in pixels
 NOISES = (0.0, 0.5, 1.0, 2.0, 4.0)  # standard deviations of the landmarks' errors in x and y, in pixels of such a face
@@ -39,7 +39,7 @@ COLUMNS = {
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, default="ibug68")
-    parser.add_argument("--head", default=DEFAULT_HEAD, help="head model: a bundled one's name, or a file")
+    parser.add_argument("--head", default=DEFAULT_HEAD_MODEL, help="head model: a bundled one's name, or a file")
     parser.add_argument("--shape-variance", type=float, default=0.99)
     parser.add_argument("--faces", type=int, default=256)
     parser.add_argument("--seed", type=seed, default=0)
@@ -49,7 +49,7 @@ def main() -> int:
 def run(arguments: argparse.Namespace) -> int:
     if arguments.faces < 1:
         raise InputError(f"expected --faces of 1 or more; got {arguments.faces}")
-    model = load_head(arguments.head).of(scheme_named(arguments.scheme), arguments.shape_variance)
+    model = load_head_model(arguments.head).of(scheme_named(arguments.scheme), arguments.shape_variance)
     pixels = FACE / jnp.ptp(model.mean[:, :2], 0).max()
     model = model.scaled(pixels)
     rng = np.random.default_rng(arguments.seed)

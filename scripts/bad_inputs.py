@@ -15,7 +15,7 @@ from scipy.io import savemat
 
 import jaxfit
 from jaxfit.cli.main import main as command
-from jaxfit.data.images import write_image
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 
 
@@ -151,7 +151,7 @@ def _of_3d(
         write_image(people / f"person01100{tilt}+0.jpg", picture)
     (people / "person01100+0+0.txt").write_text("person01100+0+0.jpg\nFace\n170\n100\n200\n200\n")
     head = folder / "head.safetensors"
-    bundled = Path(jaxfit.__file__).parent / "models" / "bundled_heads" / "ict-facekit.safetensors"
+    bundled = Path(jaxfit.__file__).parent / "models" / "bundled_head_models" / "ict-facekit.safetensors"
     head.write_bytes(bundled.read_bytes()[:900])
     train = ("train", "--method", "regression3d", "--out", str(folder / "m.safetensors"))
     return {

@@ -25,17 +25,18 @@ import jaxfit
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.images import read_grey
 from jaxfit.data.outputs import atomic_write, write_csv
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import start_boxes
-from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS, nmed
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import InputError
+from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.plots import new_figure
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, markdown_table, summary_row
-from jaxfit.exceptions import InputError
-from jaxfit.fitting import BATCHES
+from jaxfit.fitting.stream import BATCHES
+from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS
+from jaxfit.schemes.scheme import Scheme
 
 HERE = Path(__file__).resolve().parent
 RIVAL = "dlib"

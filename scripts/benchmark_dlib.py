@@ -11,13 +11,13 @@ import numpy as np
 
 import jaxfit
 from jaxfit.data.crops import Crops
-from jaxfit.data.images import read_grey
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import start_boxes
-from jaxfit.exceptions import InputError
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import InputError
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.image.frame import Frame
+from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import Scheme, mirrored
+from jaxfit.schemes.scheme import Scheme, mirrored
 
 try:
     import dlib

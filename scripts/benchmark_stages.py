@@ -20,13 +20,14 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfit
-from jaxfit.cascade.fit import State, advanced, features_of, fit_crops, starts_of, state_of
+from jaxfit.cascade.fit import fit_crops, starts_of
 from jaxfit.cascade.model import Cascade, Regressor
+from jaxfit.cascade.state import State, advanced, features_of, state_of
 from jaxfit.cli.main import exit_code
 from jaxfit.descriptors import dense, sift
 from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
 
 SIDE = 2048  # of the matrices that tell what the machine can compute
 COPIED = 2**28  # bytes, far more than caches hold

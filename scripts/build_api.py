@@ -52,7 +52,7 @@ GROUPS = {
     ),
     "Evaluation": ("evaluate", "Evaluation", "start_boxes"),
     "Several processes": ("join_processes",),
-    "3D shape models": ("load_head", "save_head", "bundled_heads", "HeadModel"),
+    "3D shape models": ("load_head_model", "save_head_model", "bundled_head_models", "HeadModel"),
     "Export": ("export_model", "load_exported", "Exported"),
     "Errors": ("JaxfitError", "InputError", "ImageError", "DatasetError", "ModelError", "ProcessError"),
 }

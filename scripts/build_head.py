@@ -14,14 +14,14 @@ from scipy.spatial.transform import Rotation
 from jaxfit.cli.arguments import seed
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import report_problems
-from jaxfit.data.facekit import FACEKIT_SOURCE, FaceKit, facekit_points, read_facekit, sample_heads
-from jaxfit.data.facewarehouse import read_facewarehouse
-from jaxfit.data.images import write_image
-from jaxfit.data.mesh_points import MeshPoints, read_mesh_points, union
 from jaxfit.data.overlays import draw_landmarks
+from jaxfit.data.pictures import write_image
+from jaxfit.heads.facekit import FACEKIT_SOURCE, FaceKit, facekit_points, read_facekit, sample_heads
+from jaxfit.heads.facewarehouse import read_facewarehouse
+from jaxfit.heads.mesh_points import MeshPoints, read_mesh_points, union
+from jaxfit.heads.model import HeadModel, learn_head_model, save_head_model
 from jaxfit.models.files import check_target
-from jaxfit.models.heads import HeadModel, learn_head, save_head
-from jaxfit.shapes.schemes import scheme_named
+from jaxfit.schemes.known import scheme_named
 
 FACEWAREHOUSE_SOURCE = "FaceWarehouse (Cao et al. 2014), for research under its authors' agreement only"
 
@@ -35,9 +35,9 @@ SOLID = 24591
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     heads = parser.add_mutually_exclusive_group(required=True)
-    heads.add_argument("--facekit", metavar="FILE", help="ICT-FaceKit as one .npz file, see jaxfit.data.facekit")
+    heads.add_argument("--facekit", metavar="FILE", help="ICT-FaceKit as one .npz file, see jaxfit.heads.facekit")
     heads.add_argument("--facewarehouse", metavar="DIR", help="the folder of Tester_1, Tester_2, …")
-    parser.add_argument("--points", metavar="FILE", help="sets of landmarks on the mesh, see jaxfit.data.mesh_points")
+    parser.add_argument("--points", metavar="FILE", help="sets of landmarks on the mesh, see jaxfit.heads.mesh_points")
     parser.add_argument("--people", type=int, default=150, help="drawn from ICT-FaceKit; FaceWarehouse has its own")
     parser.add_argument("--expressions", type=int, default=20, help="of each, the neutral one included")
     parser.add_argument("--seed", type=seed, default=0)
@@ -69,8 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         report_problems(problems)
         heads *= arguments.unit
         source, reference = FACEWAREHOUSE_SOURCE, heads.mean(0)
-    head = learn_head(heads, indices, arguments.variance, source)
-    save_head(head, arguments.out)
+    head = learn_head_model(heads, indices, arguments.variance, source)
+    save_head_model(head, arguments.out)
     report(head, len(heads), reference)
     print(f"{arguments.out}: {Path(arguments.out).stat().st_size} bytes")
     if arguments.render:

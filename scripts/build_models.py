@@ -13,7 +13,7 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import out_folder
 from jaxfit.cli.main import exit_code
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 SETS = ("lfpw68", "helen68", "ytf68")
 SCRIPTS = Path(__file__).resolve().parent

@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import jaxfit
-from jaxfit.calibrating import frontal
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
+from jaxfit.learning.placements import frontal
 from jaxfit.models.files import check_target
 
 

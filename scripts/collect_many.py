@@ -24,8 +24,8 @@ from fit_many import make_pictures
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
 
 _POLL = 0.2  # seconds
 _ORDER = [("image", "ascending"), ("face", "ascending")]

@@ -17,13 +17,13 @@ import jaxfit
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import bounding_square, jitter
-from jaxfit.data.images import GreyPictures
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.statistics import signed_rank, summarise
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
+from jaxfit.labels.records import Dataset, FaceRecord
 
 RIVAL = "dlib"
 

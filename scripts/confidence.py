@@ -12,11 +12,11 @@ from jaxfit.cli.arguments import add_datasets, read_datasets, seed, shared_schem
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.outputs import atomic_write
+from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import auroc, reliability
 from jaxfit.evaluation.plots import new_figure, plot_reliability
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.trusting import DETECTED, NO_FACES, Trials, try_fits
+from jaxfit.learning.confidence import DETECTED, NO_FACES, Trials, try_fits
 
 
 def main() -> int:

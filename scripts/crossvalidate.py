@@ -28,18 +28,13 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
-from jaxfit.evaluating import evaluate, start_boxes
-from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
+from jaxfit.errors import InputError
+from jaxfit.evaluation.evaluate import evaluate, start_boxes
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.evaluation.tables import (
-    COMPARISON_COLUMNS,
-    SUMMARY_COLUMNS,
-    comparison_row,
-    markdown_table,
-    summary_row,
-)
-from jaxfit.exceptions import InputError
-from jaxfit.training import METHODS, train
+from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, markdown_table, summary_row
+from jaxfit.learning.methods import METHODS
+from jaxfit.learning.train import train
+from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS
 
 
 def main() -> int:

@@ -13,7 +13,7 @@ from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.detectors import detector_named
-from jaxfit.evaluating import detected_boxes, evaluate, start_boxes
+from jaxfit.evaluation.evaluate import detected_boxes, evaluate, start_boxes
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import markdown_table
 from jaxfit.models.files import load

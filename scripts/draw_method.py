@@ -14,8 +14,8 @@ import jaxfit
 from jaxfit.cascade.fit import starts_of
 from jaxfit.data.outputs import atomic_write
 from jaxfit.evaluation.plots import plot_descriptor, plot_modes
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
-from jaxfit.shapes.schemes import Scheme
 from jaxfit.shapes.space import rotate
 
 FOLDER = Path(__file__).resolve().parents[1] / "docs" / "method"
@@ -81,7 +81,7 @@ def draw_descriptors(model: jaxfit.Model, crop: np.ndarray, landmarks: jax.Array
 
 def draw_heads(scheme: Scheme) -> None:
     """The mean head of the 3D shape model before the camera, turned to both sides."""
-    mean = np.asarray(jaxfit.load_head().of(scheme, variance=0.95).mean)
+    mean = np.asarray(jaxfit.load_head_model().of(scheme, variance=0.95).mean)
     reach = 1.1 * np.linalg.norm(mean, axis=1).max()
     _, axes = plt.subplots(1, len(YAWS), figsize=(12, 2.2), layout="constrained")
     for ax, yaw in zip(axes, YAWS, strict=True):

@@ -22,8 +22,8 @@ import numpy as np
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
 
 _POLL = 0.2  # seconds
 

@@ -17,12 +17,12 @@ import jaxfit
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import bounding_square, jitter
-from jaxfit.data.images import GreyPictures
-from jaxfit.data.records import Dataset
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.statistics import signed_rank, summarise
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
+from jaxfit.labels.records import Dataset
 from jaxfit.models.model import Model
 
 # Standard deviations of the boxes' places and logarithms of their sizes, in sides: as detectors' are, and worse.

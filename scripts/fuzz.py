@@ -31,19 +31,20 @@ import jaxfit
 from jaxfit.cli.arguments import seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import read_boxes
-from jaxfit.data.datasets import read_dataset
 from jaxfit.data.detectors.whole import Whole
-from jaxfit.data.images import decode_image, write_image
+from jaxfit.data.pictures import decode_image, write_image
 from jaxfit.data.pts import write_pts
-from jaxfit.data.records import FaceRecord
 from jaxfit.data.videos import Video, write_video
+from jaxfit.errors import JaxfitError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import JaxfitError
 from jaxfit.experiments import read_config
-from jaxfit.models.heads import load_head, save_head
+from jaxfit.heads.model import load_head_model, save_head_model
+from jaxfit.labels.datasets import read_dataset
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.methods import Options
+from jaxfit.learning.train import train
+from jaxfit.schemes.known import IBUG68, LFPW29_NAMES
 from jaxfit.serving import Server, Service
-from jaxfit.shapes.schemes import IBUG68, LFPW29_NAMES
-from jaxfit.training import Options, train
 
 _LIMIT = 20.0  # seconds for one input
 _MEMORY = 8 * 2**30  # bytes that a process may ask for
@@ -335,11 +336,11 @@ def _models(folder: Path) -> Target:
 
 def _heads(folder: Path) -> Target:
     path = folder / "head.safetensors"
-    save_head(load_head(), path)
+    save_head_model(load_head_model(), path)
 
     def attempt(data: bytes) -> str:
         path.write_bytes(data)
-        load_head(path).of(IBUG68, 0.5)
+        load_head_model(path).of(IBUG68, 0.5)
         return _READ
 
     return Target([path.read_bytes()], attempt)

@@ -18,11 +18,11 @@ from compare_models import write_report
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.cli.main import exit_code
-from jaxfit.data.datasets import parse_spec
-from jaxfit.data.images import read_grey
-from jaxfit.data.records import Dataset
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import ImageError, InputError
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.records import Dataset
 
 SHIFTS = np.arange(-4.0, 4.01, 0.5)  # of the axis, in pixels
 STEEPEST = 15.0  # rotation in the picture, in degrees

@@ -1,4 +1,4 @@
-"""Measure how faces lie in the boxes of each detector, and write it where ``jaxfit.data.placements`` finds it.
+"""Measure how faces lie in the boxes of each detector, and write it where ``jaxfit.models.placements`` finds it.
 
 Datasets give the statistics of their landmark scheme, and of those that it can be converted to. Datasets of --lift join
 them with the landmarks that a 3D head model gives their faces, so that turned ones count, too.
@@ -17,18 +17,19 @@ import numpy as np
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
-from jaxfit.data import placements
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.detectors import Detection
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import detected_boxes
-from jaxfit.exceptions import InputError
-from jaxfit.lifting import lift_labels
-from jaxfit.models.heads import DEFAULT_HEAD, load_head
-from jaxfit.shapes.conversions import convert, sources
+from jaxfit.errors import InputError
+from jaxfit.evaluation.evaluate import detected_boxes
+from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.labels.lifting import lift_labels
+from jaxfit.labels.records import FaceRecord
+from jaxfit.models import placements
+from jaxfit.schemes.conversions import convert, sources
+from jaxfit.schemes.known import SCHEMES
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.points import mean_face
-from jaxfit.shapes.schemes import SCHEMES, Scheme
 
 # A face's side in the measures, which are relative to it.
 SIDE = 1.0
@@ -49,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     scheme = shared_scheme(datasets)
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
     for dataset in read_datasets(arguments.lift, None):
-        faces += lift_labels(dataset.faces, dataset.scheme, scheme, load_head(DEFAULT_HEAD)).faces
+        faces += lift_labels(dataset.faces, dataset.scheme, scheme, load_head_model(DEFAULT_HEAD_MODEL)).faces
     out = Path(arguments.out)
     known = json.loads(out.read_text("utf-8")) if out.exists() else {}
     for spec in arguments.detectors:

@@ -21,19 +21,19 @@ from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, trai
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.images import GreyPictures
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import start_boxes
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.statistics import signed_rank, summarise
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.lifting import fill_labels
-from jaxfit.models.heads import load_head
+from jaxfit.heads.model import load_head_model
+from jaxfit.labels.lifting import fill_labels
+from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.schemes.scheme import Scheme
 
 BANDS = ((0, 15), (15, 30), (30, 45), (45, 60), (60, 90), (0, 45), (45, 90))  # |yaw| in degrees
 YAW = 2
@@ -71,7 +71,7 @@ def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Nam
     options = training_options(arguments, scheme, "sdm")
     tuning, read = jaxfit.Tuning(epochs=arguments.epochs, seed=arguments.seed), GreyPictures()
     complete = [face for face in faces if face.complete]
-    filled = fill_labels(faces, scheme, load_head(arguments.head)).faces
+    filled = fill_labels(faces, scheme, load_head_model(arguments.head)).faces
     models = {}
     with Bars() as bars:
         for name, given, ways in (

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfit
-from jaxfit.cascade.fit import State, advanced, features_of, state_of
+from jaxfit.cascade.state import State, advanced, features_of, state_of
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.data.boxes import bounding_square
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.evaluation.tables import markdown_table
+from jaxfit.learning.methods import METHODS, Options
 from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.training import METHODS, Options
 
 FACES, REPETITIONS = 64, 9
 COLUMNS = {

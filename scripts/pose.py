@@ -17,17 +17,15 @@ from matplotlib import pyplot
 from scipy.spatial.transform import Rotation
 
 import jaxfit
-from jaxfit.calibrating import evaluate_pose
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset
-from jaxfit.evaluating import Evaluation
+from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.evaluate import Evaluation
 from jaxfit.evaluation.plots import plot_pose_surface
 from jaxfit.evaluation.pose import (
-    ANGLES,
     POSE_COLUMNS,
     compare_pose,
     grid_centres,
@@ -37,9 +35,11 @@ from jaxfit.evaluation.pose import (
     pose_rows,
 )
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, markdown_table
-from jaxfit.exceptions import InputError
+from jaxfit.labels.records import Dataset
+from jaxfit.learning.placements import evaluate_pose
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import IBUG68
+from jaxfit.schemes.known import IBUG68
+from jaxfit.shapes.camera import ANGLES
 
 GROUPS = 8  # of faces by landmark error
 
@@ -81,7 +81,7 @@ def named_models(texts: Sequence[str]) -> dict[str, Model]:
         name, model = name or Path(path).stem, jaxfit.load(path)
         if name in models or "/" in name:
             raise InputError(f"expected models under names of their own, NAME=MODEL; got {' '.join(texts)}")
-        if model.solid is None:
+        if model.space_3d is None:
             raise InputError(f"{path}: expected a model of a 3D method; this one knows no pose")
         models[name] = model
     return models

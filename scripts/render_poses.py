@@ -24,19 +24,19 @@ from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.crops import cut_face, to_crop
-from jaxfit.data.facekit import FaceKit, facekit_points, read_facekit, sample_heads
-from jaxfit.data.images import read_grey, write_image
-from jaxfit.data.mesh_points import MeshPoints
 from jaxfit.data.outputs import require_same_settings
+from jaxfit.data.pictures import read_grey, write_image
 from jaxfit.data.pts import write_pts
-from jaxfit.data.records import FaceRecord
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.errors import ImageError, InputError
+from jaxfit.heads.facekit import FaceKit, facekit_points, read_facekit, sample_heads
+from jaxfit.heads.mesh_points import MeshPoints
+from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.image.frame import Frame
-from jaxfit.models.heads import DEFAULT_HEAD, load_head
+from jaxfit.labels.records import FaceRecord
+from jaxfit.schemes.known import IBUG68
 from jaxfit.shapes.alignment import Alignment, align_head
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.camera import pose_degrees, pose_rotation, rotation_angles, show
-from jaxfit.shapes.schemes import IBUG68
 
 FRAME = Frame(crop=288, face=120.0)
 WORST = 0.04  # mean distance of labels and aligned head above which a face is left out, in sides of the face
@@ -106,9 +106,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add_datasets(parser)
     parser.add_argument(
-        "--facekit", metavar="FILE", required=True, help="ICT-FaceKit as one .npz file, see jaxfit.data.facekit"
+        "--facekit", metavar="FILE", required=True, help="ICT-FaceKit as one .npz file, see jaxfit.heads.facekit"
     )
-    parser.add_argument("--head", default=DEFAULT_HEAD, help="3D shape model made of it; the bundled one by default")
+    parser.add_argument(
+        "--head", default=DEFAULT_HEAD_MODEL, help="3D shape model made of it; the bundled one by default"
+    )
     parser.add_argument("--most", type=int, metavar="N", help="faces of each dataset, spread evenly over it")
     parser.add_argument("--per-subject", type=int, metavar="N", help="faces of each subject, spread evenly")
     parser.add_argument(
@@ -136,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
             # The name of the source, not the pose: pictures of one subject must stay together.
             if faces.setdefault(f"{folder}_{face.face}", face) is not face:
                 raise InputError(f"--data: two faces would be called {folder}_{face.face}; rename a folder")
-    model = load_head(arguments.head).of(IBUG68, VARIANCE)
+    model = load_head_model(arguments.head).of(IBUG68, VARIANCE)
     dense = learn_dense_head(read_facekit(arguments.facekit), model)
     out = out_folder(arguments.out)
     require_same_settings(

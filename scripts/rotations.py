@@ -20,7 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxfit
-from jaxfit.cascade.fit import centroid, fit_starts, start_rotations, starts_of
+from jaxfit.cascade.fit import centroid, fit_starts, starts_of
+from jaxfit.cascade.starts import start_rotations
 from jaxfit.cli.arguments import (
     add_datasets,
     add_training,
@@ -33,17 +34,17 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.images import read_grey
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import start_boxes
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.conversions import convert
-from jaxfit.shapes.schemes import Scheme
-from jaxfit.training import train
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.train import train
+from jaxfit.schemes.conversions import convert
+from jaxfit.schemes.scheme import Scheme
 
 COUNTS = (1, 3, 5, 7, 9, 11)
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, seed
 from jaxfit.cli.main import exit_code
-from jaxfit.data.datasets import parse_spec
+from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import InputError
+from jaxfit.labels.datasets import parse_spec
 
 LABELS = ("pts", "pts0")
 PARTS = ("train", "test")

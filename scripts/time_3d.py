@@ -17,10 +17,10 @@ from jaxfit.cascade.fit import fit_crops, fit_heads
 from jaxfit.cli.arguments import add_datasets, read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import report_problems
-from jaxfit.cropping import crop_faces
-from jaxfit.data.images import read_image
-from jaxfit.evaluating import start_boxes
+from jaxfit.data.pictures import read_image
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.tables import markdown_table
+from jaxfit.fitting.crop import crop_faces
 
 FACES, REPETITIONS = 64, 32  # the thesis repeats 32 times, too
 COLUMNS = {
@@ -50,12 +50,12 @@ def run(arguments: argparse.Namespace) -> int:
         report_problems(list(problems.values()))
         pixels = jnp.asarray(crops.pixels)
         landmarks = fit_crops(model.cascade, pixels)
-        whole = partial(fit_heads, model.cascade, pixels, None, model.head)
+        whole = partial(fit_heads, model.cascade, pixels, None, model.aligned)
         row: dict[str, Any] = {"model": name, "steps": len(model.cascade.windows)}
         median_ms = partial(median_ms_a_face, len(faces))
         row["cascade ms"] = median_ms(partial(fit_crops, model.cascade, pixels))
-        if model.head is not None:
-            encode = jax.jit(lambda points, head=model.head: jax.lax.map(head.encode, points, batch_size=4))
+        if model.aligned is not None:
+            encode = jax.jit(lambda points, head=model.aligned: jax.lax.map(head.encode, points, batch_size=4))
             row["alignment ms"] = median_ms(partial(encode, landmarks))
             row["refined ms"] = median_ms(partial(whole, refine=True), 3)
         row["together ms"] = median_ms(whole)

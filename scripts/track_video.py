@@ -23,13 +23,14 @@ from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.images import read_grey
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluation.errors import nmed, normaliser_length
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import InputError
+from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.labels.records import FaceRecord
+from jaxfit.schemes.normalisers import normaliser_length
+from jaxfit.schemes.scheme import Scheme
 
 WIDTH, HEIGHT, FRAMES, RATE = 640, 480, 60, 30.0
 FACE = 150.0  # side of a face's square, in pixels

@@ -19,10 +19,10 @@ import numpy as np
 
 from jaxfit.cli.arguments import add_datasets, read_datasets
 from jaxfit.cli.main import exit_code
-from jaxfit.data.images import GreyPictures
-from jaxfit.evaluating import evaluate, start_boxes
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import JaxfitError
+from jaxfit.evaluation.evaluate import evaluate, start_boxes
 from jaxfit.evaluation.tables import markdown_table
-from jaxfit.exceptions import JaxfitError
 from jaxfit.models.files import load
 
 _POLL = 0.05  # seconds

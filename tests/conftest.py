@@ -33,7 +33,7 @@ def shared_data() -> Path:
 @pytest.fixture(scope="session")
 def real_dataset(shared_data: Path) -> Callable:
     """Reads the dataset ``FORMAT:PATH``, its path being one in the real data; each is read once."""
-    from jaxfit.data.datasets import read_dataset
+    from jaxfit.labels.datasets import read_dataset
 
     @cache
     def read(spec: str):

@@ -8,17 +8,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.images import write_image
-from jaxfit.data.records import FaceRecord
+from jaxfit.data.pictures import write_image
+from jaxfit.heads.model import load_head_model
 from jaxfit.image.frame import Frame
-from jaxfit.models.heads import load_head
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.methods import Options
+from jaxfit.learning.train import train
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import AFLW21
-from jaxfit.training import Options, train
+from jaxfit.schemes.known import AFLW21
 
 OPTIONS = Options(windows=(0.6, 0.4), mirror=False, haar=False, shape_variance=0.9, frame=Frame(64, 36.0))
 SIDE = 140  # pixels, of the pictures
-HEAD = np.asarray(load_head().of(AFLW21, 0.5).mean)  # cm
+HEAD = np.asarray(load_head_model().of(AFLW21, 0.5).mean)  # cm
 
 
 def rotation_of(pose):

@@ -45,7 +45,7 @@ def files_of_the_package() -> set[str]:
 def test_the_wheel_has_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
     inside = {name for name in wheel.namelist() if name.startswith("jaxfit/")}
     assert inside == files_of_the_package()
-    for name in (*(f"bundled/{name}" for name in jaxfit.bundled()), "bundled_heads/ict-facekit"):
+    for name in (*(f"bundled/{name}" for name in jaxfit.bundled()), "bundled_head_models/ict-facekit"):
         assert f"jaxfit/models/{name}.safetensors" in inside
     assert {"jaxfit/py.typed", "jaxfit/models/bundled/cards.json"} <= inside
 
@@ -62,7 +62,7 @@ def test_metadata(wheel: zipfile.ZipFile) -> None:
     told = email.message_from_bytes(wheel.read(name))
     assert told["Version"] == jaxfit.__version__
     assert told["License-Expression"] == "MIT"
-    assert set(told.get_all("License-File")) == {"LICENSE", "jaxfit/models/bundled_heads/LICENSE-ICT-FaceKit.txt"}
+    assert set(told.get_all("License-File")) == {"LICENSE", "jaxfit/models/bundled_head_models/LICENSE-ICT-FaceKit.txt"}
     assert all(
         name.replace("METADATA", f"licenses/{file}") in wheel.namelist() for file in told.get_all("License-File")
     )

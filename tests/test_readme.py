@@ -12,11 +12,11 @@ from scipy.io import savemat
 
 import jaxfit
 from jaxfit.cli.main import main
-from jaxfit.data.images import write_image
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.data.videos import write_video
-from jaxfit.shapes.conversions import convert
-from jaxfit.shapes.schemes import AFLW21, IBUG68
+from jaxfit.schemes.conversions import convert
+from jaxfit.schemes.known import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
 GUIDES = ("index", "command-line", "training", "python")

@@ -8,7 +8,7 @@ from jax import lax, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.types import Features, Scalar
 
 _EXACT = lax.Precision.HIGHEST

@@ -10,18 +10,21 @@ from typing import Any
 
 import numpy as np
 
+from jaxfit.cascade.greedy import Greedy
+from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import read_boxes
-from jaxfit.data.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.data.detectors import DETECTORS, OF_FILES
-from jaxfit.data.records import Dataset
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
+from jaxfit.labels.datasets import FORMATS, convert_dataset, read_dataset
+from jaxfit.labels.records import Dataset
+from jaxfit.learning.methods import METHODS, Options, default_descriptor, view_of
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.shapes.schemes import SCHEMES, Scheme, scheme_named
-from jaxfit.training import METHODS, Options, default_descriptor, seen
+from jaxfit.schemes.known import SCHEMES, scheme_named
+from jaxfit.schemes.scheme import Scheme
 
 _DEFAULT = Options()
 
@@ -100,23 +103,27 @@ def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[n
     return read_boxes(arguments.boxes)
 
 
-def add_initialisations(command: argparse.ArgumentParser, about: str) -> None:
-    """``--initialisations K`` and ``--rotations LOW HIGH``."""
-    command.add_argument(
-        "--initialisations",
-        type=int,
-        default=_DEFAULT.initialisations,
-        metavar="K",
-        help=f"{about}; one, or three or more",
-    )
+def add_starts(command: argparse.ArgumentParser, about: str) -> None:
+    """``--starts K`` and ``--rotations LOW HIGH``."""
+    usual = _DEFAULT.starts
+    command.add_argument("--starts", type=int, default=usual.count, metavar="K", help=f"{about}; one, or three or more")
     command.add_argument(
         "--rotations",
         type=float,
         nargs=2,
-        default=_DEFAULT.rotations,
+        default=(usual.low, usual.high),
         metavar=("LOW", "HIGH"),
-        help="degrees, clockwise as seen, that the rotations of several initialisations cover evenly",
+        help="degrees, clockwise as seen, that the rotations of several starts cover evenly",
     )
+
+
+def given_starts(arguments: argparse.Namespace) -> Starts:
+    """The starts that ``--starts`` and ``--rotations`` ask for.
+
+    Raises:
+        InputError: there are none, or two; or no range.
+    """
+    return Starts(arguments.starts, *arguments.rotations)
 
 
 def add_refine(command: argparse.ArgumentParser) -> None:
@@ -128,19 +135,20 @@ def add_refine(command: argparse.ArgumentParser) -> None:
     )
 
 
-def untrained_starts(name: str, model: Model, initialisations: int) -> list[str]:
-    """What to say where several starts are asked for of a model that was trained for one."""
-    if initialisations == 1 or model.training.get("initialisations", 1) > 1:
+def untrained_starts(name: str, model: Model, starts: Starts) -> list[str]:
+    """A warning where several starts are asked for of a model that was trained for one."""
+    if starts.count == 1 or model.starts.count > 1:
         return []
-    return [f"{name} was trained for one initialisation: of its fits from turned starts none may be right"]
+    return [f"{name} was trained for a single start: of its fits from turned starts none may be right"]
 
 
-def add_head(command: argparse.ArgumentParser) -> None:
-    """``--head NAME``."""
+def add_head_model(command: argparse.ArgumentParser) -> None:
+    """``--head-model NAME``."""
     command.add_argument(
-        "--head",
-        default=_DEFAULT.head,
-        help="3D shape model of 3D methods and --lift: a bundled one's name, or a file that scripts/build_head.py made",
+        "--head-model",
+        default=_DEFAULT.head_model,
+        metavar="NAME",
+        help="3D head model of 3D methods and --lift: a bundled one's name, or a file that scripts/build_head.py made",
     )
 
 
@@ -150,21 +158,27 @@ def add_training(command: argparse.ArgumentParser) -> None:
         "--windows",
         type=float,
         nargs="+",
-        default=list(_DEFAULT.windows),
+        default=list(_DEFAULT.greedy.windows),
         metavar="SHARE",
         help="side of the descriptor window as a share of the face's side, one number a step; "
         "the thesis's constant is 32 / FACE for every step",
     )
-    command.add_argument("--augmentations", type=int, default=_DEFAULT.augmentations, help="starts drawn a face")
-    command.add_argument("--variance", type=float, default=_DEFAULT.variance, help="share kept by the features' PCA")
-    command.add_argument("--ridge", type=float, default=_DEFAULT.ridge, help="ridge strength; 0 is least squares")
+    command.add_argument("--augmentations", type=int, default=_DEFAULT.greedy.augmentations, help="starts drawn a face")
+    command.add_argument(
+        "--variance", type=float, default=_DEFAULT.greedy.variance, help="share kept by the features' PCA"
+    )
+    command.add_argument(
+        "--ridge", type=float, default=_DEFAULT.greedy.ridge, help="ridge strength; 0 is least squares"
+    )
     command.add_argument(
         "--rank",
         type=int,
         help="directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
         "unless given, all",
     )
-    command.add_argument("--spread", type=float, default=_DEFAULT.spread, help="factor on the spread of the starts")
+    command.add_argument(
+        "--spread", type=float, default=_DEFAULT.greedy.spread, help="factor on the spread of the starts"
+    )
     command.add_argument(
         "--shape-variance", type=float, default=_DEFAULT.shape_variance, help="share kept by the shape model's PCA"
     )
@@ -174,8 +188,8 @@ def add_training(command: argparse.ArgumentParser) -> None:
         default=_DEFAULT.sigmas,
         help="radius of the ellipsoid that shape coefficients stay in; unless given it holds 99.7 %% of normal faces",
     )
-    add_head(command)
-    add_initialisations(command, "how many starts fitting shall use; with several, starts are turned in training, too")
+    add_head_model(command)
+    add_starts(command, "how many starts fitting shall use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
     command.add_argument(
@@ -199,7 +213,9 @@ def add_training(command: argparse.ArgumentParser) -> None:
         metavar="PIXELS",
         help="by which labels lie right of and below what they mark, and the model's fits then too: 0 unless given",
     )
-    command.add_argument("--seed", type=seed, default=_DEFAULT.seed, help="same seed, machine and cores: same model")
+    command.add_argument(
+        "--seed", type=seed, default=_DEFAULT.greedy.seed, help="same seed, machine and cores: same model"
+    )
 
 
 def add_confidence(command: argparse.ArgumentParser) -> None:
@@ -247,7 +263,8 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
     Raises:
         InputError: an option out of range, or a choice that the descriptor does not have.
     """
-    usual = default_descriptor(method, arguments.initialisations)
+    starts = given_starts(arguments)
+    usual = default_descriptor(method, starts)
     descriptor: Any = descriptor_like(usual, arguments.descriptor)
     for name in ("orientation", "normalisation"):
         if choice := getattr(arguments, name):
@@ -259,20 +276,21 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
             descriptor = replace(descriptor, **{name: choice})
     sides = {name: side for name in ("crop", "face", "shift") if (side := getattr(arguments, name)) is not None}
     return Options(
-        windows=tuple(arguments.windows),
-        augmentations=arguments.augmentations,
-        variance=arguments.variance,
-        ridge=arguments.ridge,
-        rank=arguments.rank,
-        spread=arguments.spread,
-        initialisations=arguments.initialisations,
-        rotations=tuple(arguments.rotations),
+        greedy=Greedy(
+            windows=tuple(arguments.windows),
+            augmentations=arguments.augmentations,
+            variance=arguments.variance,
+            ridge=arguments.ridge,
+            rank=arguments.rank,
+            spread=arguments.spread,
+            seed=arguments.seed,
+        ),
+        starts=starts,
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,
-        head=arguments.head,
+        head_model=arguments.head_model,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
         haar=not arguments.no_haar,
-        seed=arguments.seed,
         # Left open where it is the usual one, which depends on the other options.
         descriptor=None if descriptor == usual else descriptor,
         frame=replace(descriptor.frame, **sides) if sides else None,
@@ -296,15 +314,18 @@ def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Option
     texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
     options = otherwise(method)
     kind = texts.pop("descriptor", None)
-    plain = {key: value for key, value in vars(options).items() if key not in ("descriptor", "frame")}
+    starts = {"starts": options.starts.count, "rotations": (options.starts.low, options.starts.high)}
+    plain = options.flat() | starts
+    plain = {key: value for key, value in plain.items() if key not in ("descriptor", "frame")}
     try:
         given = {key: _read_like(default, key, texts.pop(key)) for key, default in plain.items() if key in texts}
-        options = replace(options, **given)
+        count, rotations = given.pop("starts", options.starts.count), given.pop("rotations", starts["rotations"])
+        options = options.but(starts=Starts(count, *rotations), **given)
         if kind:  # not before: which one is usual depends on the other options
-            usual = default_descriptor(method, options.initialisations)
+            usual = default_descriptor(method, options.starts)
             descriptor = descriptor_like(usual, kind)
             options = replace(options, descriptor=None if descriptor == usual else descriptor, frame=None)
-        parts: dict[str, Any] = dict(zip(("descriptor", "frame"), seen(method, options), strict=True))
+        parts: dict[str, Any] = dict(zip(("descriptor", "frame"), view_of(method, options), strict=True))
         known = [*plain, *(key for part in parts.values() for key in vars(part))]
         for key in texts:
             if key not in known:

@@ -2,12 +2,12 @@
 
 import argparse
 
-from jaxfit.batching import BatchFitter
-from jaxfit.cli.arguments import add_detector, add_initialisations, add_pictures, add_refine, out_folder
+from jaxfit.cli.arguments import add_detector, add_pictures, add_refine, add_starts, given_starts, out_folder
 from jaxfit.cli.progress import Bars
-from jaxfit.collecting import fit_collection
 from jaxfit.data.detectors import DEFAULT_DETECTOR
-from jaxfit.data.images import find_images
+from jaxfit.data.pictures import find_images
+from jaxfit.runs.collection import fit_collection
+from jaxfit.runs.workers import BatchFitter
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -21,7 +21,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     add_pictures(command)
     add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
-    add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
+    add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument("--workers", type=int, help="processes; as many as there are cores for unless given")
@@ -35,8 +35,7 @@ def run(options: argparse.Namespace) -> int:
     fitter = BatchFitter(
         options.model,
         options.detector or DEFAULT_DETECTOR,
-        options.initialisations,
-        tuple(options.rotations),
+        given_starts(options),
         options.refine,
         options.cores,
     )

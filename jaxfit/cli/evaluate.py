@@ -12,9 +12,10 @@ from jaxfit.cli.arguments import (
     add_boxes,
     add_datasets,
     add_detector,
-    add_initialisations,
     add_refine,
+    add_starts,
     given_boxes,
+    given_starts,
     out_folder,
     read_datasets,
     seed,
@@ -22,22 +23,35 @@ from jaxfit.cli.arguments import (
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
-from jaxfit.data.datasets import convert_dataset, parse_spec
 from jaxfit.data.detectors import detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
-from jaxfit.data.records import Dataset
-from jaxfit.evaluating import Evaluation, detected_boxes, evaluate, match_boxes, require_scheme, start_boxes
-from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS
-from jaxfit.evaluation.pose import ANGLES, POSE_COLUMNS, pose_report, pose_rows
+from jaxfit.data.pictures import read_grey
+from jaxfit.errors import InputError
+from jaxfit.evaluation.evaluate import (
+    Evaluation,
+    detected_boxes,
+    fit_labelled,
+    match_boxes,
+    measure,
+    require_measurable,
+    start_boxes,
+)
+from jaxfit.evaluation.pose import POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
-from jaxfit.exceptions import InputError
-from jaxfit.fitting import passes_from
+from jaxfit.fitting.fit import passes_from
+from jaxfit.fitting.refine import refine, require_refinable
+from jaxfit.fitting.stream import Pipeline
+from jaxfit.labels.datasets import convert_dataset, parse_spec
+from jaxfit.labels.records import Dataset
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import is_first
-from jaxfit.shapes.conversions import CONVERSIONS
-from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme
+from jaxfit.schemes.conversions import CONVERSIONS
+from jaxfit.schemes.known import NO_LANDMARKS
+from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import ANGLES
 
 _ERROR_3D = "3D median"
 _COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
@@ -72,7 +86,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         default="outer",
         help="what distances are divided by: outer eye corners (default), pupil centres, bounding square",
     )
-    add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
+    add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where report.json and faces.csv go")
     add_processes(command, run)
@@ -86,35 +100,35 @@ def run(options: argparse.Namespace) -> int:
         datasets = [_for_model(model, dataset) for dataset in datasets]
     schemes = [_measured_scheme(model, dataset) for dataset in datasets]
     for dataset, scheme in zip(datasets, schemes, strict=True):
-        require_scheme(scheme, dataset.faces)
+        require_measurable(model.scheme, scheme, options.normaliser, dataset.faces)
     boxes = given_boxes(options, model)
     if boxes is not None and options.detector is not None:
         raise InputError("expected --boxes or a --detector that finds them; got both")
+    starts = given_starts(options)
+    if options.refine:
+        require_refinable(model)
     folder = out_folder(options.out)
     kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
     passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
+    pipeline = Pipeline(model, starts=starts, passes=passes, read=read_grey)
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
             kind: str | list[str] = kinds[dataset.spec]
             if options.detector is not None:
-                starts, kind = detected_boxes(dataset.faces, options.detector, bars)
+                begun, kind = detected_boxes(dataset.faces, options.detector, bars)
             elif boxes is None:
-                starts = start_boxes(dataset.faces, options.seed)
+                begun = start_boxes(dataset.faces, options.seed)
             else:
-                starts = match_boxes(dataset.faces, boxes)
-            results[dataset.spec] = evaluate(
-                model,
+                begun = match_boxes(dataset.faces, boxes)
+            fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, progress=bars)
+            results[dataset.spec] = measure(
+                refine(model, fits) if options.refine else fits,
                 dataset.faces,
-                starts,
-                kind=kind,
                 scheme=scheme,
                 normaliser=options.normaliser,
-                initialisations=options.initialisations,
-                rotations=tuple(options.rotations),
-                refine=options.refine,
-                passes=passes,
-                progress=bars,
+                model=model,
+                seconds_per_face=seconds,
             )
     if not is_first():
         return 0
@@ -124,26 +138,26 @@ def run(options: argparse.Namespace) -> int:
             "boxes": options.boxes,
             "detector": options.detector,
             "seed": options.seed,
-            "initialisations": options.initialisations,
-            "rotations": list(options.rotations),
+            "starts": starts.count,
+            "rotations": [starts.low, starts.high],
             "refine": options.refine,
             "passes": passes,
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
     report_problems(
-        untrained_starts(options.model, model, options.initialisations)
+        untrained_starts(options.model, model, starts)
         + [problem for dataset in datasets for problem in dataset.problems]
-        + [problem for result in results.values() for problem in result.problems.values()]
+        + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
     print(
         f"NMED over {NORMALISER_TITLES[options.normaliser]}. The mean is over fitted faces; faces without a fit count "
         "in the median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
     )
-    columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.solid is not None}
+    columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
     print(text_table([_row(spec, result) for spec, result in results.items()], columns))
     for spec, result in results.items():
-        if result.pose is not None and np.isfinite(result.true_pose).any():
+        if result.fits.pose is not None and np.isfinite(result.true_pose).any():
             print(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
             print(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
     print(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
@@ -184,7 +198,7 @@ def _start_kind(model: Model, dataset: Dataset) -> str:
 def _report(result: Evaluation) -> dict[str, Any]:
     """One dataset's part of ``report.json``; ``ci95`` is half the width of the mean's 95 % confidence interval."""
     seconds = result.seconds_per_face
-    fitted = int(np.isfinite(result.landmarks).all((1, 2)).sum())
+    fitted = int(result.fits.fitted.sum())
     return {
         **summarise(result.errors).as_json(),
         "fitted": fitted,
@@ -197,7 +211,7 @@ def _report(result: Evaluation) -> dict[str, Any]:
 
 def _report_3d(result: Evaluation) -> dict[str, Any]:
     """What is said of 3D models only."""
-    if result.pose is None or result.errors_3d is None:
+    if result.fits.pose is None or result.errors_3d is None:
         return {}
     return {
         "nmed_3d": summarise(result.errors_3d).as_json()["nmed"],
@@ -222,12 +236,13 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
     Fitted angles are in the order of the labelled ones, and may be others than those of ``jaxfit fit``.
     """
     for spec, result in results.items():
+        why = {problem.row: str(problem) for problem in result.fits.problems}
         for number, face in enumerate(result.faces):
-            box = [f"{value:.3f}" for value in result.boxes[number]]
+            box = [f"{value:.3f}" for value in result.fits.boxes[number]]
             error = result.errors[number]
             error_3d = "" if result.errors_3d is None else f"{result.errors_3d[number]:.6f}"
             angles = np.concatenate([result.ordered_pose[number], result.true_pose[number]])
             pose = ["" if isnan(angle) else f"{angle:.3f}" for angle in angles]
-            problem = result.problems.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
+            problem = why.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
             numbers = [*box, f"{error:.6f}", error_3d, *pose]
             yield [spec, face.face, face.subject, face.image, *numbers, face.pose_order, problem]

@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_initialisations, untrained_starts
+from jaxfit.cli.arguments import add_starts, given_starts, untrained_starts
 from jaxfit.cli.progress import report_problems
-from jaxfit.exporting import export_model, load_exported
+from jaxfit.fitting.export import export_model, load_exported
 from jaxfit.models.files import SUFFIX, load
 
 
@@ -19,16 +19,17 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     command.add_argument("--out", required=True, metavar=f"FILE{SUFFIX}", help="the file to write")
-    add_initialisations(command, "starts a face; several, for models trained for it, find turned faces")
+    add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     command.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Export, and load again what was written."""
     model, out = load(options.model), Path(options.out)
-    export_model(model, out, options.initialisations, tuple(options.rotations))
+    starts = given_starts(options)
+    export_model(model, out, starts)
     exported = load_exported(out)
-    report_problems(untrained_starts(options.model, model, options.initialisations))
+    report_problems(untrained_starts(options.model, model, starts))
     side = exported.frame.crop
     print(f"{out}: {options.model}, {model.scheme.name}, {out.stat().st_size / 2**20:.1f} MiB")
     print(f"in: crops (N, {side}, {side}) uint8")

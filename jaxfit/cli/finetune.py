@@ -6,16 +6,16 @@ from typing import get_type_hints
 
 import numpy as np
 
-from jaxfit.cascade.finetune import Tuning
-from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head, model_target, require_folds, seed
+from jaxfit.cascade.tuning import Tuning
+from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head_model, model_target, require_folds, seed
 from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.images import GreyPictures
-from jaxfit.exceptions import InputError
-from jaxfit.finetuning import finetune
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance
+from jaxfit.learning.confidence import learn_confidence, training_of
+from jaxfit.learning.finetune import finetune
 from jaxfit.models.files import load, save
-from jaxfit.trusting import learn_confidence, training_of
 
 _HELP = {
     "epochs": "how often each face is seen",
@@ -44,7 +44,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument("model", help="a model file, or a bundled model's name")
     add_faces(command)
     add_shared(command)
-    add_head(command)
+    add_head_model(command)
     command.add_argument("--out", required=True, metavar="MODEL.safetensors", help="the model file to write")
     command.add_argument(
         "--validation",
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.confidence:
         require_people(found, options.confidence)
-        training_of(model, options.head)
+        training_of(model, options.head_model)
     checkpoint = out.with_name(f"{out.stem}.unfinished")
     read = GreyPictures()
     with Bars() as bars:
@@ -97,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
             tuning=tuning,
             validation=options.validation,
             mirror=not options.no_mirror and model.scheme.mirror is not None,
-            head=options.head,
+            head_model=options.head_model,
             checkpoint=checkpoint,
             progress=bars,
             read=read,
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
         model = tuned.model
         if options.confidence:
             model = learn_confidence(
-                model, found.faces, folds=options.confidence, head=options.head, read=read, progress=bars
+                model, found.faces, folds=options.confidence, head_model=options.head_model, read=read, progress=bars
             )
     save(model, out)
     checkpoint.unlink(missing_ok=True)

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
-from jaxfit.data.datasets import parse_spec
-from jaxfit.data.records import Dataset, FaceRecord
+from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import InputError
-from jaxfit.lifting import fill_labels, lift_labels, share_labels
-from jaxfit.models.heads import load_head
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.heads.model import load_head_model
+from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
+from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.schemes.scheme import Scheme
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     sources = [_source(dataset) for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
     if arguments.fill:
-        head = load_head(arguments.head)
+        head = load_head_model(arguments.head_model)
         filled = [fill_labels(part, scheme, head) for part in parts]
         parts = [part.faces for part in filled]
         problems += [
@@ -97,7 +97,7 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
         *((dataset, share_labels, 0.0, "that share points with") for dataset in read_datasets(arguments.share, None)),
     ]
     for dataset, through_head, least_yaw, done in others:
-        found = through_head(dataset.faces, dataset.scheme, scheme, load_head(arguments.head), least_yaw)
+        found = through_head(dataset.faces, dataset.scheme, scheme, load_head_model(arguments.head_model), least_yaw)
         parts.append(found.faces)
         sources.append(_source(dataset))
         problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]

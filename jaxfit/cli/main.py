@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import jaxfit
 from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
-from jaxfit.compiling import keep_compiled_code
-from jaxfit.exceptions import JaxfitError
+from jaxfit.compile_cache import keep_compiled_code
+from jaxfit.errors import JaxfitError
 
 _COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments)
 

@@ -3,7 +3,7 @@
 import argparse
 from importlib import resources
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.models.cards import read_cards
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX, bundled, load
 
@@ -39,7 +39,7 @@ def _described(name: str) -> str:
     card, model = read_cards()[name], load(name)
     parts = {
         "for": card.summary,
-        "landmarks": f"{model.scheme.count} ({model.scheme.name}){', 3D shape and pose' if model.solid else ''}",
+        "landmarks": f"{model.scheme.count} ({model.scheme.name}){', 3D shape and pose' if model.space_3d else ''}",
         "method": f"{model.training['method']}, {len(model.cascade.weights)} steps",
         "confidence": "no" if model.confidence is None else "yes",
         "boxes": ", ".join(model.known_placements),

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from jaxfit.cli.arguments import known_detectors
 from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from functools import partial
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.processes import is_first, join_processes
 
 _Run = Callable[[argparse.Namespace], int]

@@ -13,13 +13,14 @@ from jaxfit.cli.arguments import out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.overlays import draw_head, draw_landmarks, draw_name
+from jaxfit.data.overlays import draw_name, draw_row
+from jaxfit.data.rows import HEAD, landmark_columns
 from jaxfit.data.videos import Video, write_video
-from jaxfit.evaluation.pose import ANGLES
+from jaxfit.fitting.one_euro import OneEuro
+from jaxfit.fitting.track import TrackedFrame, track
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
-from jaxfit.smoothing import OneEuro
-from jaxfit.tracking import TrackedFace, TrackedFrame, track
+from jaxfit.shapes.camera import ANGLES
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -69,7 +70,8 @@ def run(options: argparse.Namespace) -> int:
         )
         folder = out_folder(options.out)
         table = csv.writer(stack.enter_context(atomic_write(folder / "faces.csv", "w")), lineterminator="\n")
-        table.writerow(_header(model))
+        columns = _columns(model)
+        table.writerow(["frame", "seconds", "id", *(name.removeprefix(HEAD) for name in columns)])
         film = stack.enter_context(_film(folder if options.overlay else None, video.frame_rate))
         bars = stack.enter_context(Bars())
         begun = time.perf_counter()
@@ -77,13 +79,13 @@ def run(options: argparse.Namespace) -> int:
         with suppress(KeyboardInterrupt) if video.live else nullcontext():
             for frame in tracked:
                 bars("tracking faces", frame.number, video.count or frame.number)
-                table.writerows(_row(frame, face) for face in frame.faces)
+                table.writerows(_rows(frame, columns))
                 if frame.problem:
                     problems.append(frame.problem)
-                film(frame, model)
+                film(frame)
                 frames += 1
                 faces += len(frame.faces)
-                people |= {face.id for face in frame.faces}
+                people |= set(frame.ids.tolist())
         taken = time.perf_counter() - begun
     if video.problem:
         problems.append(video.problem)
@@ -97,37 +99,32 @@ def run(options: argparse.Namespace) -> int:
 
 
 @contextmanager
-def _film(folder: Path | None, frame_rate: float) -> Iterator[Callable[[TrackedFrame, Model], None]]:
+def _film(folder: Path | None, frame_rate: float) -> Iterator[Callable[[TrackedFrame], None]]:
     """What draws frames with their faces into ``overlay.mp4``; without a folder nothing."""
     if folder is None:
-        yield lambda frame, model: None
+        yield lambda frame: None
         return
     with write_video(folder / "overlay.mp4", frame_rate) as write:
-        yield lambda frame, model: write(_drawn(frame, model))
+        yield lambda frame: write(_drawn(frame))
 
 
-def _drawn(frame: TrackedFrame, model: Model) -> np.ndarray:
+def _drawn(frame: TrackedFrame) -> np.ndarray:
     """A frame with its faces and their numbers drawn over it."""
     canvas = frame.picture
-    for face in frame.faces:
-        if face.landmarks_3d is None or face.pose is None:
-            canvas = draw_landmarks(canvas, face.landmarks, model.scheme)
-        else:
-            solid = np.column_stack([face.landmarks, face.landmarks_3d[:, 2]])
-            canvas = draw_head(canvas, solid, face.pose, model.scheme)
-        canvas = draw_name(canvas, str(face.id), face.box)
+    for number, box, row in zip(frame.ids, frame.faces.boxes, frame.faces.rows(), strict=True):
+        canvas = draw_name(draw_row(canvas, row, frame.faces.scheme, boxed=False), str(number), box)
     return canvas
 
 
-def _header(model: Model) -> list[str]:
-    points = [f"{axis}{i}" for i in range(1, model.scheme.count + 1) for axis in "xy"]
-    pose = [*ANGLES, "scale"] if model.solid is not None else []
-    return ["frame", "seconds", "id", "confidence", "x", "y", "width", "height", *points, *pose]
+def _columns(model: Model) -> list[str]:
+    """The columns of a face, as `Fits.to_dicts` calls them; without a confidence, its column is empty."""
+    points = landmark_columns(model.scheme, confident=True)[3:]
+    return ["confidence", *(name for name in points if name != "confidence")] + (
+        [f"{HEAD}{name}" for name in (*ANGLES, "scale")] if model.space_3d is not None else []
+    )
 
 
-def _row(frame: TrackedFrame, face: TrackedFace) -> list[object]:
-    confidence = "" if face.confidence is None else f"{face.confidence:.3f}"
-    numbers = [*face.box, *face.landmarks.reshape(-1)]
-    if face.pose is not None and face.scale is not None:
-        numbers += [*face.pose, face.scale]
-    return [frame.number, f"{frame.seconds:.3f}", face.id, confidence, *(f"{value:.3f}" for value in numbers)]
+def _rows(frame: TrackedFrame, columns: list[str]) -> Iterator[list[object]]:
+    for number, face in zip(frame.ids, frame.faces.to_dicts(), strict=True):
+        numbers = [f"{face[name]:.3f}" if name in face else "" for name in columns]
+        yield [frame.number, f"{frame.seconds:.3f}", number, *numbers]

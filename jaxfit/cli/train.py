@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from jaxfit.choosing import OPTIONS, Chosen, choose_options
 from jaxfit.cli.arguments import (
     DefaultsInHelp,
     add_confidence,
@@ -18,13 +17,15 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
-from jaxfit.data.images import GreyPictures, read_grey
+from jaxfit.data.pictures import GreyPictures, read_grey
 from jaxfit.evaluation.tables import text_table
+from jaxfit.heads.model import load_head_model
+from jaxfit.learning.choose import OPTIONS, Chosen, choose_options
+from jaxfit.learning.confidence import learn_confidence
+from jaxfit.learning.methods import METHODS
+from jaxfit.learning.train import train
 from jaxfit.models.files import SUFFIX, save
-from jaxfit.models.heads import load_head
 from jaxfit.processes import is_first, require_alone
-from jaxfit.training import METHODS, train
-from jaxfit.trusting import learn_confidence
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -75,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
         model = chosen.recorded(trained.model) if chosen else trained.model
         if options.confidence:
             model = learn_confidence(
-                model, found.faces, folds=options.confidence, head=options.head, read=read, progress=bars
+                model, found.faces, folds=options.confidence, head_model=options.head_model, read=read, progress=bars
             )
     if not is_first():
         return 0
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     if chosen:
         print(tried(chosen))
     if METHODS[options.method].in_3d or options.lift:
-        print(f"3D shape model: {load_head(options.head).source}")
+        print(f"3D shape model: {load_head_model(options.head_model).source}")
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     known = model.known_placements
@@ -98,7 +99,7 @@ def tried(chosen: Chosen) -> str:
     """What was tried, as a table; the last line says what was chosen."""
     columns = {"option": "", "value": "", "faces": "d", "error": ".4f", "best": ".4f", "p": ".2g", "taken": ""}
     rows = [
-        asdict(trial) | {"value": told(trial.value), "taken": ["no", "yes"][trial.taken]} for trial in chosen.trials
+        asdict(trial) | {"value": told(trial.value), "taken": ["no", "yes"][trial.taken]} for trial in chosen.choices
     ]
     taken = ", ".join(f"{name} {told(getattr(chosen.options, name))}" for name in OPTIONS)
     return f"{text_table(rows, columns)}\nchosen: {taken}"

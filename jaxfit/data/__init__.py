@@ -1,1 +1,23 @@
-"""The host side: files, pictures, boxes and crops; the only place that touches OpenCV and the disk."""
+"""The host side: files, pictures, boxes, crops, videos and overlays; the only place that touches OpenCV and the disk."""
+
+from jaxfit.data.boxes import read_boxes
+from jaxfit.data.crops import Crops
+from jaxfit.data.detectors import Detection, Detector, detect_faces
+from jaxfit.data.overlays import draw_head, draw_landmarks, draw_row
+from jaxfit.data.pictures import find_images, read_image, write_image
+from jaxfit.data.videos import Video
+
+__all__ = [
+    "Crops",
+    "Detection",
+    "Detector",
+    "Video",
+    "detect_faces",
+    "draw_head",
+    "draw_landmarks",
+    "draw_row",
+    "find_images",
+    "read_boxes",
+    "read_image",
+    "write_image",
+]

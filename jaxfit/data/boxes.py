@@ -5,8 +5,9 @@ import math
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
 _SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
@@ -97,3 +98,24 @@ def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[np.ndarra
             raise InputError(f"{path}, line {reader.line_num}: expected the picture's file name; got none")
         boxes.setdefault(name, []).append(box)
     return boxes
+
+
+def box_array(boxes: ArrayLike, count: int) -> np.ndarray:
+    """Boxes as an array (N, 4), one for each of ``count`` pictures.
+
+    Raises:
+        InputError: they are none.
+    """
+    try:
+        array = np.asarray(boxes, np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"expected boxes as an array ({count}, 4) of numbers; got {boxes!r}") from None
+    # No faces, no boxes: an empty list is as good as an empty (0, 4) array.
+    if count == 0 and array.size == 0:
+        return array.reshape(0, 4)
+    if array.shape != (count, 4):
+        raise InputError(
+            f"expected one box (x, y, width, height) for each of {count} images, an array ({count}, 4); "
+            f"got an array {array.shape}"
+        )
+    return array

@@ -5,13 +5,14 @@ Where to cut is worked out in plain numbers: on arrays of two it takes as long a
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 
 # Picture pixels a crop pixel up to which a bilinear sample stands for all of them.
@@ -54,8 +55,19 @@ class Crops:
         pixels = np.zeros((count, frame.crop, frame.crop), np.uint8)
         return cls(frame, pixels, np.ones(count), np.zeros((count, 2)))
 
+    @classmethod
+    def join(cls, parts: Sequence["Crops"]) -> "Crops":
+        """Crops of one frame, one after the other."""
+        if len(parts) == 1:
+            return parts[0]
+        return cls(parts[0].frame, *map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
+
     def __len__(self) -> int:
         return len(self.pixels)
+
+    def __getitem__(self, chosen: slice | np.ndarray) -> "Crops":
+        """Some of the crops."""
+        return Crops(self.frame, *(values[chosen] for values in self.arrays))
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

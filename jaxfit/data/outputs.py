@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 
 def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 from jax import numpy as jnp
 
 from jaxfit.data.boxes import bounding_square
-from jaxfit.exceptions import InputError
+from jaxfit.data.rows import Row
+from jaxfit.errors import InputError
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
-from jaxfit.shapes.schemes import Scheme
 
 _CYAN, _RED, _YELLOW = (0, 255, 255), (255, 60, 60), (255, 220, 0)
 _AXES = ((255, 0, 0), (0, 230, 0), (40, 90, 255))  # colours of the head's x, y and z
@@ -123,6 +124,32 @@ def outline_of(landmarks_3d: np.ndarray, pose: np.ndarray) -> Outline:
     origin = landmarks_3d.mean(0)
     tips = origin + (rotation * _AXIS * size * [1, 1, -1]).T  # the face looks along -z
     return Outline(corners, np.vstack([origin, tips]))
+
+
+def draw_row(rgb: np.ndarray, row: Row, scheme: Scheme, boxed: bool = True) -> np.ndarray:
+    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a fitted face drawn over it, in 3D if the model has that.
+
+    Args:
+        rgb: (H, W, 3) or (H, W) uint8.
+        row: the face, as `jaxfit.Fits.rows` gives it.
+        scheme: says which points lines join.
+        boxed: draw the face box, too.
+    """
+    landmarks, box = np.array(row["landmarks"]), None
+    if boxed:
+        box = np.array([row["box"][side] for side in ("x", "y", "width", "height")])
+    solid = solid_points(row)
+    if solid is None:
+        return draw_landmarks(rgb, landmarks, scheme, box=box)
+    return draw_head(rgb, solid, np.array(list(row["pose"].values())), scheme, box=box)
+
+
+def solid_points(row: Row) -> np.ndarray | None:
+    """The points (L, 3) of a fitted face that are drawn: the 2D landmarks at the depths of the 3D shape, which in
+    alignments lies beside them. None where there is no 3D shape."""
+    if "landmarks_3d" not in row:
+        return None
+    return np.column_stack([np.array(row["landmarks"]), np.array(row["landmarks_3d"])[:, 2]])
 
 
 def draw_name(rgb: np.ndarray, name: str, box: np.ndarray) -> np.ndarray:

@@ -1,16 +1,11 @@
-"""iBUG's .pts annotations: one text file a face, beside a picture of the same stem."""
+"""iBUG's .pts files: the landmarks of one face, as text."""
 
-import re
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.images import PICTURE_SUFFIXES
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset, FaceRecord, check_pictures
-from jaxfit.exceptions import DatasetError, InputError
-from jaxfit.shapes.schemes import scheme_of_count
+from jaxfit.errors import DatasetError, InputError
 
 
 def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
@@ -29,7 +24,7 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
             coordinates or one that is NaN alone, or no point that is not missing.
         InputError: ``base`` is neither 0 nor 1.
     """
-    _check_base(base)
+    check_base(base)
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -56,7 +51,7 @@ def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
     Raises:
         InputError: the landmarks are not (L, 2) finite numbers, ``base`` is neither 0 nor 1, or the folder is missing.
     """
-    _check_base(base)
+    check_base(base)
     landmarks = np.asarray(landmarks, np.float64)
     if landmarks.ndim != 2 or landmarks.shape[1] != 2 or not np.isfinite(landmarks).all():
         raise InputError(f"{path}: expected finite landmarks (L, 2), got an array {landmarks.shape}")
@@ -65,74 +60,6 @@ def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
     body = "".join(f"{x:.3f} {y:.3f}\n" for x, y in points)
     with atomic_write(path, "w") as file:
         file.write(f"version: 1\nn_points: {len(points)}\n{{\n{body}}}\n")
-
-
-def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
-    """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
-
-    All faces have the number of points that most files have; files that cannot be used become problems. Points
-    ``nan nan`` are missing; a point at (0, 0) or (-1, -1) is a point.
-
-    Args:
-        folder: where the files are.
-        base: what the files call the first pixel: 1 as iBUG does, or 0.
-
-    Raises:
-        DatasetError: no such folder, nothing in it can be used, or no ``.pts`` has a picture.
-        InputError: ``base`` is neither 0 nor 1.
-    """
-    _check_base(base)
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise DatasetError(f"{folder}: expected a folder of .pts files with their pictures, found none; check the path")
-    files = sorted(path for path in folder.iterdir() if path.is_file())
-    # Reversed, so that of several pictures of one stem the first by name stays.
-    pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in PICTURE_SUFFIXES}
-    found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
-    if not found:
-        told = f"; first problem: {problems[0]}" if problems else ""
-        expected = "expected .pts files, each with a picture of the same name beside it"
-        raise DatasetError(f"{folder}: {expected}, found none that can be used{told}")
-    count = Counter(len(landmarks) for landmarks in found.values()).most_common(1)[0][0]
-    problems += [
-        f"{path}: has {len(landmarks)} points, the folder's other faces have {count}"
-        for path, landmarks in found.items()
-        if len(landmarks) != count
-    ]
-    faces = tuple(
-        _record(pictures.get(path.stem, path.with_suffix(".jpg")), landmarks)
-        for path, landmarks in found.items()
-        if len(landmarks) == count
-    )
-    check_pictures(folder, faces)
-    spec = f"{'pts' if base == 1 else 'pts0'}:{folder}"
-    return Dataset(spec=spec, scheme=scheme_of_count(count), faces=faces, problems=tuple(problems))
-
-
-def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray], list[str]]:
-    found, problems = {}, []
-    for path in annotations:
-        try:
-            found[path] = read_pts(path, base)
-        except DatasetError as error:
-            problems.append(str(error))
-    return found, problems
-
-
-def _record(picture: Path, landmarks: np.ndarray) -> FaceRecord:
-    present = np.isfinite(landmarks).all(1)
-    # One or two trailing digits number the pictures of one subject; longer numbers are names (image_0001).
-    numbered = re.fullmatch(r"(.+)_[0-9]{1,2}", picture.stem)
-    return FaceRecord(
-        image=picture,
-        landmarks=landmarks,
-        present=present,
-        visible=present.copy(),
-        box=None,
-        pose=None,
-        subject=numbered[1] if numbered else picture.stem,
-        face=picture.stem,
-    )
 
 
 def _point(path: str | Path, number: int, line: str) -> tuple[float, float]:
@@ -146,7 +73,12 @@ def _point(path: str | Path, number: int, line: str) -> tuple[float, float]:
     return x, y
 
 
-def _check_base(base: int) -> None:
+def check_base(base: int) -> None:
+    """Refuse another number of the first pixel than 0 and 1.
+
+    Raises:
+        InputError: it is another.
+    """
     if base not in (0, 1):
         raise InputError(f"base is what the file calls the first pixel, 0 or 1; got {base}")
 

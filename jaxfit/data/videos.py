@@ -11,9 +11,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from jaxfit.data.images import quiet
 from jaxfit.data.outputs import atomic_path
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.data.pictures import quiet
+from jaxfit.errors import ImageError, InputError
 
 VIDEO_SUFFIX = ".mp4"
 DEFAULT_FRAME_RATE = 30.0  # frames a second, of what does not say

@@ -3,7 +3,7 @@
 from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import Sift
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 # What model files, experiments and the command line call them; a new one, as `Descriptor` asks for, is a line here.
 DESCRIPTORS: dict[str, type[Sift] | type[Dense]] = {"sift": Sift, "dense": Dense}

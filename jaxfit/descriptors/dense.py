@@ -9,7 +9,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt
 
 from jaxfit.descriptors.normalise import NORMALISATIONS, require_choices
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import split
 from jaxfit.types import Crop, Features, Point, Scalar

@@ -6,7 +6,7 @@ from math import sqrt
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.types import Features
 
 # Added to shares below a root, whose derivative is infinite at 0; a bin's mean share is 80 times as much.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 BINS = 15
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 # The usual limit on 300-W, for errors divided by the distance of the outer eye corners.
 LIMIT = 0.08

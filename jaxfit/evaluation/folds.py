@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 
 def split_by_subject(subjects: Sequence[str], folds: int, seed: int) -> np.ndarray:

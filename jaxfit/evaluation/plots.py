@@ -12,12 +12,12 @@ from jax import numpy as jnp
 
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import BINS, CELLS, Sift
+from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import Reliability
 from jaxfit.evaluation.curves import LIMIT, auc, ced
 from jaxfit.evaluation.pose import PoseGrid
-from jaxfit.exceptions import InputError
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.asm import ActiveShapeModel
-from jaxfit.shapes.schemes import Scheme
 from jaxfit.shapes.space import rotate
 from jaxfit.types import Crop, Features, Point, Scalar
 

@@ -5,19 +5,16 @@ found, and a true angle that is not finite is unknown. Angles that differ by who
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.statistics import Subjects, finite_or_none, summarise
 from jaxfit.evaluation.tables import comparison_row, markdown_table
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.camera import PoseOrder
-
-# The columns of poses, in this order.
-ANGLES = ("roll", "pitch", "yaw")
+from jaxfit.shapes.camera import ANGLES
+from jaxfit.shapes.pose_order import as_poses, as_triples, wrapped_degrees
 
 # The columns of a table of pose errors in degrees, whose rows ``pose_rows`` makes.
 POSE_COLUMNS = {
@@ -41,26 +38,6 @@ _FRONTAL = 45.0  # degrees of true yaw, beyond which much of one side of the fac
 _RANGE_LABELS = {"all": "all", f"yaw_within_{_FRONTAL:g}": f"|yaw| ≤ {_FRONTAL:g}°"}
 
 
-def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
-    """Poses (N, 3) as jaxfit gives them, in Eq. 15's order, in the orders that the faces' true poses are given in.
-
-    Raises:
-        InputError: the poses are not (N, 3).
-    """
-    poses = _poses(poses).copy()
-    rows = np.flatnonzero(np.isfinite(poses).all(1) & (np.array(orders) == "roll-yaw-pitch"))
-    if len(rows):
-        roll, pitch, yaw = poses[rows].T
-        # About axes that turn with the head; y is down, so that looking up turns against the axis.
-        turns = scipy.spatial.transform.Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
-        pitch, yaw, roll = turns.as_euler("XYZ", degrees=True).T * [[-1], [1], [1]]
-        # Of the two triples that give a rotation, the one of a head that is not upside down: SciPy keeps yaw within 90.
-        over = np.abs(pitch) > 90
-        found = np.stack([roll, pitch, yaw], 1)
-        poses[rows] = np.where(over[:, None], _wrapped(np.stack([roll + 180, pitch + 180, 180 - yaw], 1)), found)
-    return poses
-
-
 def pose_errors(fitted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Signed errors of each angle, fitted minus true, the shorter way round.
 
@@ -74,11 +51,11 @@ def pose_errors(fitted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     Raises:
         InputError: the poses are not both (N, 3).
     """
-    fitted, truth = _poses(fitted), _poses(truth)
+    fitted, truth = as_poses(fitted), as_poses(truth)
     if fitted.shape != truth.shape:
         raise InputError(f"fitted and true poses must be of the same faces; got {len(fitted)} and {len(truth)} poses")
     lost = np.isnan(fitted).any(axis=1, keepdims=True)
-    return np.where(lost & ~np.isnan(truth), np.inf, _wrapped(fitted - truth))
+    return np.where(lost & ~np.isnan(truth), np.inf, wrapped_degrees(fitted - truth))
 
 
 @dataclass(frozen=True)
@@ -118,7 +95,7 @@ def summarise_pose(fitted: np.ndarray, truth: np.ndarray, subjects: Subjects = N
     Raises:
         InputError: the poses are not both (N, 3), or there is not one subject a face.
     """
-    columns = zip(ANGLES, pose_errors(fitted, truth).T, _poses(fitted).T, _poses(truth).T, strict=True)
+    columns = zip(ANGLES, pose_errors(fitted, truth).T, as_poses(fitted).T, as_poses(truth).T, strict=True)
     return {angle: _summarise_angle(errors, of, true, subjects) for angle, errors, of, true in columns}
 
 
@@ -170,7 +147,7 @@ def compare_pose(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects = 
     Raises:
         InputError: the errors are not both (N, 3), or there is not one subject a face.
     """
-    columns = zip(ANGLES, _triples(errors, "pose errors").T, _triples(baseline, "pose errors").T, strict=True)
+    columns = zip(ANGLES, as_triples(errors, "pose errors").T, as_triples(baseline, "pose errors").T, strict=True)
     rows = [{"angle": angle, **comparison_row(np.abs(a), np.abs(b), subjects)} for angle, a, b in columns]
     return [row for row in rows if row["faces"]]
 
@@ -209,7 +186,7 @@ def pose_grid(
     Raises:
         InputError: there is not one error and one true pose a face, or the centres are not finite numbers.
     """
-    errors, truth = np.abs(np.asarray(errors, dtype=np.float64)), _wrapped(_poses(truth))
+    errors, truth = np.abs(np.asarray(errors, dtype=np.float64)), wrapped_degrees(as_poses(truth))
     if errors.shape != truth.shape[:1]:
         raise InputError(f"expected the errors of one angle, one for each of {len(truth)} poses; got {errors.shape}")
     used = ~(np.isnan(errors) | np.isnan(truth[:, 1:]).any(axis=1))
@@ -258,8 +235,8 @@ def _by_range(
 ) -> list[tuple[str, np.ndarray, dict[str, AngleSummary]]]:
     """For each range of true yaw its key, and the errors (M, 3) and summaries of the faces within."""
     errors = pose_errors(fitted, truth)
-    fitted, truth = _poses(fitted), _poses(truth)
-    frontal = np.abs(_wrapped(truth[:, ANGLES.index("yaw")])) <= _FRONTAL
+    fitted, truth = as_poses(fitted), as_poses(truth)
+    frontal = np.abs(wrapped_degrees(truth[:, ANGLES.index("yaw")])) <= _FRONTAL
     masks = (np.ones(len(truth), dtype=bool), frontal)
     return [
         (key, errors[within], summarise_pose(fitted, np.where(within[:, None], truth, np.nan), subjects))
@@ -277,7 +254,7 @@ def _summarise_angle(errors: np.ndarray, fitted: np.ndarray, truth: np.ndarray, 
         ci95=absolute.ci95,
         median=absolute.median,
         bias=float(errors[found].mean()) if found.any() else math.nan,
-        spearman=_rank_correlation(_wrapped(fitted[found]), _wrapped(truth[found])),
+        spearman=_rank_correlation(wrapped_degrees(fitted[found]), wrapped_degrees(truth[found])),
     )
 
 
@@ -296,21 +273,3 @@ def _bins(values: np.ndarray, centres: np.ndarray | None) -> tuple[np.ndarray, n
     if not (centres.size and np.isfinite(centres).all()):
         raise InputError(f"a pose grid needs at least one pitch and one yaw, all finite; got {centres}")
     return centres, np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
-
-
-def _poses(poses: np.ndarray) -> np.ndarray:
-    """Poses (N, 3), float64, NaN wherever they are not finite."""
-    poses = _triples(poses, "poses")
-    return np.where(np.isfinite(poses), poses, np.nan)
-
-
-def _triples(values: np.ndarray, what: str) -> np.ndarray:
-    values = np.asarray(values, dtype=np.float64)
-    if values.ndim != 2 or values.shape[1] != len(ANGLES):
-        raise InputError(f"{what} must be roll, pitch and yaw of each face, (faces, 3); got {values.shape}")
-    return values
-
-
-def _wrapped(angles: np.ndarray) -> np.ndarray:
-    """Angles in degrees, brought into [-180, 180)."""
-    return (angles + 180.0) % 360.0 - 180.0

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import scipy
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT, areas, auc, failure_rate, failures, measurable
-from jaxfit.exceptions import InputError
 
 # Who is seen on each face; None if each is a person of its own.
 Subjects = Sequence[str] | np.ndarray | None

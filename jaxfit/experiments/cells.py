@@ -14,18 +14,19 @@ from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
-from jaxfit.calibrating import evaluate_pose
 from jaxfit.cascade.model import first_steps
-from jaxfit.data.datasets import parse_spec
-from jaxfit.data.records import FaceRecord
-from jaxfit.evaluating import Evaluation, evaluate, evaluate_steps
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.cascade.starts import Starts
+from jaxfit.errors import ImageError, InputError
+from jaxfit.evaluation.evaluate import Evaluation, evaluate, evaluate_steps
 from jaxfit.experiments.config import Config, MethodPlan
 from jaxfit.experiments.lab import Lab, Progress, cascades
-from jaxfit.fitting import fit
+from jaxfit.fitting.fit import fit
+from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.placements import evaluate_pose
+from jaxfit.learning.train import Trained, train
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import Scheme
-from jaxfit.training import Trained, train
+from jaxfit.schemes.scheme import Scheme
 
 Arrays = dict[str, np.ndarray]
 Methods = tuple[MethodPlan, ...]
@@ -67,7 +68,7 @@ def plan(config: Config) -> list[Cell]:
         *(PoseModel(group, chosen) for group in solid),
         *(Pose(tuple(solid), spec, chosen) for spec in (config.pose.test if config.pose else ())),
         *(Grid(dataset, group, chosen, fold) for dataset, group, fold in places),
-        *(Starts(dataset, group, chosen, fold) for dataset, group, fold in places if several(config)),
+        *(SeveralStarts(dataset, group, chosen, fold) for dataset, group, fold in places if several(config)),
         *(Times(dataset.name, tuple(groups), chosen) for dataset in config.datasets),
         *(Grid(dataset, group, count, fold) for count in others for dataset, group, fold in places),
     ]
@@ -120,13 +121,13 @@ class Grid:
             lab.save_model(self.name, trained.model)
             best = results[config.chosen_steps - 1]
             arrays["landmarks"] = best.landmarks.astype(np.float32)
-            if best.pose is not None:
-                arrays["pose"] = best.pose
-        return arrays | {"problems": np.array([*trained.problems, *results[-1].problems.values()], str)}
+            if best.fits.pose is not None:
+                arrays["pose"] = best.fits.pose
+        return arrays | {"problems": np.array([*trained.problems, *map(str, results[-1].fits.problems)], str)}
 
 
 @dataclass(frozen=True)
-class Starts:
+class SeveralStarts:
     """Test the chosen models from several initialisations (Appendix C)."""
 
     dataset: str
@@ -159,7 +160,7 @@ class Starts:
                 faces.chosen(rows),
                 faces.boxes[rows],
                 normaliser=config.normaliser,
-                initialisations=count,
+                starts=Starts(count),
                 progress=progress,
                 read=lab.pictures,
             )
@@ -209,7 +210,7 @@ class Times:
         for group, name in zip(self.groups, self.needs, strict=True):
             for method in group:
                 model = _chosen(lab, name)
-                models[method.name] = model if method.in_3d else replace(model, head=None)
+                models[method.name] = model if method.in_3d else replace(model, aligned=None)
                 fit(models[method.name], pictures, boxes)
         seconds: dict[str, list[float]] = {name: [] for name in models}
         for repetition in range(config.repetitions):
@@ -280,7 +281,10 @@ class Pose:
         }
         results = evaluate_pose(models, dataset, lab.config.seed, progress)
         first = next(iter(results.values()))
-        problems = [*dataset.problems, *(why for result in results.values() for why in result.problems.values())]
+        problems = [
+            *dataset.problems,
+            *(str(problem) for result in results.values() for problem in result.fits.problems),
+        ]
         return {
             **{f"{name}.pose": result.ordered_pose for name, result in results.items()},
             "pose": first.true_pose,
@@ -311,7 +315,7 @@ def _train(
     """The model that serves all methods of a group."""
     method = max(methods, key=lambda method: method.in_3d)  # tells all that the others do
     mirror = method.options.mirror and scheme.mirror is not None
-    options = replace(method.options, augmentations=augmentations, mirror=mirror)
+    options = method.options.but(augmentations=augmentations, mirror=mirror)
     return train(faces, scheme, method=method.method, options=options, progress=progress, read=lab.pictures)
 
 

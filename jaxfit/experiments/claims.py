@@ -6,7 +6,7 @@ from itertools import groupby
 
 import numpy as np
 
-from jaxfit.evaluation.pose import ANGLES, pose_errors
+from jaxfit.evaluation.pose import pose_errors
 from jaxfit.evaluation.statistics import (
     both_measured,
     holm,
@@ -18,6 +18,7 @@ from jaxfit.evaluation.statistics import (
 )
 from jaxfit.experiments.config import Config, MethodPlan
 from jaxfit.experiments.results import DatasetResults, PoseResults, Results
+from jaxfit.shapes.camera import ANGLES
 
 _ALPHA = 0.05
 # How much of the whole improvement must be reached where errors are said to level off.

@@ -2,27 +2,29 @@
 
 import json
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxfit.data.datasets import parse_spec
+from jaxfit.cascade.starts import Starts
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
-from jaxfit.evaluation.errors import NORMALISERS
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.experiments.document import check_names
 from jaxfit.experiments.thesis import THESIS
-from jaxfit.shapes.schemes import scheme_named
-from jaxfit.training import METHODS, Options, default_descriptor
+from jaxfit.labels.datasets import parse_spec
+from jaxfit.learning.methods import METHODS, Options, default_descriptor
+from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.normalisers import NORMALISERS
 
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
 # Options of training that an experiment sets itself, or does not need: boxes of detectors are not measured.
-_NOT_OPTIONS = {"augmentations", "initialisations", "rotations", "haar", "seed"}
-_OPTIONS = {each.name for each in fields(Options)} - _NOT_OPTIONS
+_NOT_OPTIONS = {"augmentations", "starts", "haar", "seed"}
+_OPTIONS = set(Options().flat()) - _NOT_OPTIONS
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class MethodPlan:
 
     Attributes:
         name: in tables.
-        method: one of ``jaxfit.training.METHODS``.
+        method: one of ``jaxfit.learning.train.METHODS``.
         options: of training; the cells of the experiment set the augmentations.
     """
 
@@ -118,7 +120,7 @@ class Config:
                 f"(one window a step); got {self.chosen_augmentations} and {self.chosen_steps}"
             )
         for plan in self.methods:
-            if (count := len(plan.options.windows)) != self.steps:
+            if (count := len(plan.options.greedy.windows)) != self.steps:
                 raise InputError(
                     f"[methods.{plan.name}] windows: expected as many, one a step, for all methods; got {count}, "
                     f"and {self.steps} for {self.methods[0].name}"
@@ -145,7 +147,7 @@ class Config:
     @property
     def steps(self) -> int:
         """How many steps the cascades have: the rows of the grid."""
-        return len(self.methods[0].options.windows)
+        return len(self.methods[0].options.greedy.windows)
 
     def method(self, name: str) -> MethodPlan:
         """The method of a name."""
@@ -156,7 +158,7 @@ class Config:
         plans = {plan.name: _without(asdict(plan), {"name"}) for plan in self.datasets}
         pose = {} if self.pose is None else {"pose": _without(asdict(self.pose), set())}
         methods = {
-            plan.name: {"method": plan.method, **_without(vars(plan.options), _NOT_OPTIONS)} for plan in self.methods
+            plan.name: {"method": plan.method, **_without(plan.options.flat(), _NOT_OPTIONS)} for plan in self.methods
         }
         for values in methods.values():
             if frame := values.get("frame"):
@@ -199,11 +201,11 @@ def config_from(values: Mapping[str, Any]) -> Config:
     chosen = _table(values, "chosen")
     _require_known("[chosen]", chosen, {"augmentations", "steps"})
     top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
-    usual = Options(haar=False, seed=max(0, top.get("seed", Config.seed)))
+    usual = Options(haar=False).but(seed=max(0, top.get("seed", Config.seed)))
     training, methods, datasets = (_table(values, key) for key in ("training", "methods", "datasets"))
-    _options("[training]", usual, default_descriptor("sdm", 1), training)  # told as wrong there, not in a method
+    _options("[training]", usual, default_descriptor("sdm", Starts()), training)  # told as wrong there, not in a method
     plans = tuple(_method(name, {**training, **_table(methods, name, "methods.")}, usual) for name in methods)
-    steps = len(plans[0].options.windows) if plans else 0
+    steps = len(plans[0].options.greedy.windows) if plans else 0
     return Config(
         datasets=tuple(_dataset(name, _table(datasets, name, "datasets.")) for name in datasets),
         methods=plans,
@@ -229,7 +231,7 @@ def _method(name: str, values: Mapping[str, Any], usual: Options) -> MethodPlan:
     method = values.pop("method", name)
     if method not in METHODS:
         raise InputError(f"{where}: expected method = one of {', '.join(METHODS)}; got {method!r}")
-    return MethodPlan(name, method, _options(where, usual, default_descriptor(method, 1), values))
+    return MethodPlan(name, method, _options(where, usual, default_descriptor(method, Starts()), values))
 
 
 def _pose(values: Mapping[str, Any]) -> PosePlan:
@@ -246,13 +248,13 @@ def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping
     _require_known(where, values, _OPTIONS)
     plain = {key: value for key, value in values.items() if key not in ("descriptor", "frame")}
     # The usual rank, none, does not tell that others are whole numbers.
-    defaults = vars(usual) | {"rank": 0}
+    defaults = usual.flat() | {"rank": 0}
     changed = {key: _like(defaults[key], f"{where} {key}", value) for key, value in plain.items()}
     if "descriptor" in values:
         changed["descriptor"] = descriptor = _descriptor(where, descriptor, _table(values, "descriptor", f"{where} "))
     if "frame" in values:
         changed["frame"] = _part(where, "frame", descriptor.frame, _table(values, "frame", f"{where} "))
-    return _checked(where, usual, changed)
+    return _checked(where, usual.but, changed)
 
 
 def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Descriptor:
@@ -267,17 +269,19 @@ def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Desc
 def _part(where: str, key: str, part: Any, table: Mapping[str, Any]) -> Any:
     """A part of the options with what the table of a key says about it."""
     _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
-    return _checked(where, part, {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()})
+    return _checked(
+        where, partial(replace, part), {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()}
+    )
 
 
-def _checked(where: str, thing: Any, changed: Mapping[str, Any]) -> Any:
-    """A dataclass with some fields changed.
+def _checked(where: str, changing: Callable[..., Any], changed: Mapping[str, Any]) -> Any:
+    """What comes of changing some fields of a dataclass.
 
     Raises:
         InputError: it refuses them.
     """
     try:
-        return replace(thing, **changed)
+        return changing(**changed)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import Row
-from jaxfit.exceptions import InputError
 
 if TYPE_CHECKING:
     import matplotlib.figure

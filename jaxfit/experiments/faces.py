@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.crops import cut_face, to_crop
-from jaxfit.data.images import read_image
-from jaxfit.exceptions import ImageError
+from jaxfit.data.pictures import read_image
+from jaxfit.errors import ImageError
 from jaxfit.experiments.config import Config, MethodPlan
 from jaxfit.experiments.document import Figure, Gallery, GalleryFace
 from jaxfit.experiments.figures import plot_fits

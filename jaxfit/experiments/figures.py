@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxfit.evaluation.plots import draw_face, new_figure, pyplot
 from jaxfit.evaluation.statistics import Subjects, summarise
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.schemes.scheme import Scheme
 
 if TYPE_CHECKING:
     import matplotlib.axes

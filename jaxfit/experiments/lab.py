@@ -3,28 +3,29 @@
 import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from zipfile import BadZipFile
 
 import numpy as np
 
-from jaxfit.aligning import align_labels
-from jaxfit.calibrating import CALIBRATED
-from jaxfit.data.datasets import convert_dataset, parse_spec, read_dataset
-from jaxfit.data.images import GreyPictures
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.records import Dataset, FaceRecord
-from jaxfit.evaluating import start_boxes
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import InputError
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import InputError
 from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan
+from jaxfit.heads.model import load_head_model
+from jaxfit.labels.aligned import align_labels
+from jaxfit.labels.datasets import convert_dataset, parse_spec, read_dataset
+from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.learning.methods import METHODS, Options, view_of
+from jaxfit.learning.placements import CALIBRATED
 from jaxfit.models.files import load, save
-from jaxfit.models.heads import load_head
 from jaxfit.models.model import Model
-from jaxfit.shapes.schemes import NO_LANDMARKS, Scheme, scheme_named
-from jaxfit.training import METHODS, Options, seen
+from jaxfit.schemes.known import NO_LANDMARKS, scheme_named
+from jaxfit.schemes.scheme import Scheme
 
 Progress = Callable[[str, int, int], None]
 
@@ -223,7 +224,7 @@ def cascades(methods: Sequence[MethodPlan]) -> list[tuple[MethodPlan, ...]]:
     groups: list[list[MethodPlan]] = []
     for plan in methods:
         for group in groups:
-            heads = {other.options.head for other in [*group, plan] if other.in_3d}
+            heads = {other.options.head_model for other in [*group, plan] if other.in_3d}
             if len(heads) <= 1 and _cascade(plan) == _cascade(group[0]):
                 group.append(plan)
                 break
@@ -234,8 +235,8 @@ def cascades(methods: Sequence[MethodPlan]) -> list[tuple[MethodPlan, ...]]:
 
 def _cascade(plan: MethodPlan) -> tuple[object, Options]:
     """What makes the cascade of a method."""
-    descriptor, frame = seen(plan.method, plan.options)
-    return METHODS[plan.method].learn_space, replace(plan.options, descriptor=descriptor, frame=frame, head="")
+    descriptor, frame = view_of(plan.method, plan.options)
+    return METHODS[plan.method].learn_space, plan.options.but(descriptor=descriptor, frame=frame, head_model="")
 
 
 def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -278,7 +279,7 @@ def _described(faces: Faces) -> dict[str, np.ndarray]:
 def _aligned_pose(faces: Faces) -> np.ndarray:
     """(N, 3) roll, pitch and yaw in degrees that the labels tell; NaN without a head model of them."""
     try:
-        model = load_head().of(faces.scheme, 0.99)
+        model = load_head_model().of(faces.scheme, 0.99)
     except InputError:
         return np.full((len(faces.records), 3), np.nan)
     aligned = align_labels(model, faces.landmarks)

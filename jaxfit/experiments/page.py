@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxfit.data.outputs import atomic_write
+from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import format_cells, is_numeric
-from jaxfit.exceptions import InputError
 from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Table, check_names
 from jaxfit.experiments.figure_files import write_figure
 from jaxfit.experiments.markdown_file import markdown_text

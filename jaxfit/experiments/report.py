@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.evaluation.errors import NORMALISER_TITLES
 from jaxfit.experiments.claims import claims
 from jaxfit.experiments.document import Document, Section, Table
 from jaxfit.experiments.faces import fits_figure, gallery
@@ -13,6 +12,7 @@ from jaxfit.experiments.report_errors import Group, comparison, grid_tables, par
 from jaxfit.experiments.report_pose import pose_grids, pose_summary
 from jaxfit.experiments.results import DatasetResults, Results, read_results
 from jaxfit.experiments.thesis import THESIS
+from jaxfit.schemes.normalisers import NORMALISER_TITLES
 
 _GALLERY = 150  # faces of each dataset
 _SHOWN = 6  # faces of each dataset in a figure

@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxfit.evaluation.plots import new_figure, plot_pose_surface
 from jaxfit.evaluation.pose import (
-    ANGLES,
     POSE_COLUMNS,
     PoseGrid,
     grid_centres,
@@ -23,6 +22,7 @@ from jaxfit.experiments.document import Figure, Table
 from jaxfit.experiments.report_errors import DIFFERENCES, add_holm, difference_row
 from jaxfit.experiments.results import PoseResults
 from jaxfit.experiments.thesis import THESIS
+from jaxfit.shapes.camera import ANGLES
 
 _FIGURES = {"alignment3d": "Figure 20. ", "regression3d": "Figure 21. "}
 

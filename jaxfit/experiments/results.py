@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.exceptions import InputError
-from jaxfit.experiments.cells import Cell, Grid, Pose, Starts, Times, plan, several
+from jaxfit.errors import InputError
+from jaxfit.experiments.cells import Cell, Grid, Pose, SeveralStarts, Times, plan, several
 from jaxfit.experiments.config import Config, MethodPlan, config_from
 from jaxfit.experiments.lab import load_arrays
 from jaxfit.experiments.running import OF_FACES, SETTINGS
-from jaxfit.shapes.schemes import Scheme, scheme_named
+from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.scheme import Scheme
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -174,7 +175,7 @@ def read_results(folder: Path) -> Results:
 
 def _all_folds(cell: Cell, config: Config, done: Collection[str]) -> bool:
     """Whether what a cell measures is measured in all folds, and so on all faces."""
-    if not isinstance(cell, Grid | Starts):
+    if not isinstance(cell, Grid | SeveralStarts):
         return True
     return all(replace(cell, fold=fold).name in done for fold in range(config.folds))
 
@@ -200,11 +201,11 @@ class _Found:
             self.seconds = {name: arrays[f"{name}.seconds"] for name in self.seconds}
             self.timed = {key: float(arrays[key]) for key in ("faces", "cores")}
             return
-        assert isinstance(cell, Grid | Starts), "no other cells are of a dataset"
+        assert isinstance(cell, Grid | SeveralStarts), "no other cells are of a dataset"
         rows = arrays["rows"]
         for method in cell.methods:
             errors = arrays["errors_3d" if method.in_3d else "errors"]
-            if isinstance(cell, Starts):
+            if isinstance(cell, SeveralStarts):
                 at = [self.config.initialisations.index(count) for count in several(self.config)]
                 self.starts[method.name][np.ix_(np.array(at), rows)] = errors
                 continue

@@ -14,7 +14,7 @@ from jax import numpy as jnp
 import jaxfit
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.data.outputs import require_same_settings
-from jaxfit.exceptions import InputError, JaxfitError
+from jaxfit.errors import InputError, JaxfitError
 from jaxfit.experiments.cells import Cell, plan
 from jaxfit.experiments.config import Config
 from jaxfit.experiments.lab import Lab

@@ -1,1 +1,1 @@
-"""Pixels: smoothing and bilinear sampling, in pure JAX, for one picture."""
+"""Pixels: smoothing, bilinear sampling, warps and disturbances; pure JAX, for one picture."""

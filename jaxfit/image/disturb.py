@@ -10,7 +10,7 @@ from jax import lax, random
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.sampling import bilinear, pack
 from jaxfit.types import Picture, Point, Scalar
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 _MOST_SHIFT = 10.0
 

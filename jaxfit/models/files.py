@@ -16,18 +16,19 @@ from safetensors.numpy import save as pack_tensors
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.placements import Placement, read_placement
 from jaxfit.descriptors import DESCRIPTORS
-from jaxfit.exceptions import InputError, JaxfitError, ModelError
+from jaxfit.errors import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
+from jaxfit.models.placements import Placement, read_placement
+from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes import SPACES
 from jaxfit.shapes.camera_asm import CameraASM
-from jaxfit.shapes.schemes import Scheme, scheme_named
 
 FORMAT = 1
 SUFFIX = ".safetensors"
-BUNDLED = "bundled"  # the folder of the models that come with the package
+BUNDLED = "jaxfit.models"  # the package that models come with
 DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
@@ -102,7 +103,7 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
         "windows": np.asarray(cascade.windows, np.float32),
         **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
         **_arrays("space", cascade.space),
-        **({} if model.head is None else _arrays("head", model.head)),
+        **({} if model.aligned is None else _arrays("head", model.aligned)),
         **_confidence_tensors(model.confidence),
     }
     if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
@@ -143,23 +144,24 @@ def write_tensors(path: Path, tensors: dict[str, np.ndarray], key: str, header: 
         file.write(data)
 
 
-def names_in(folder: str) -> list[str]:
-    """Names of the files of ours in a folder of ``jaxfit.models`` that comes with the package."""
-    files = resources.files("jaxfit.models") / folder
+def names_in(package: str) -> list[str]:
+    """Names of the files that come with a package of ours, in its folder ``bundled``."""
+    files = resources.files(package) / "bundled"
     if not files.is_dir():
         return []
     return sorted(item.name.removesuffix(SUFFIX) for item in files.iterdir() if item.name.endswith(SUFFIX))
 
 
-def read_named(name: str | Path, folder: str, kind: str) -> bytes:
-    """The bytes of a file of the package's ``folder``, by name, or of any file, by path; ``kind`` is for the message.
+def read_named(name: str | Path, package: str, kind: str) -> bytes:
+    """The bytes of a file that comes with a package of ours, by name, or of any file, by path; ``kind`` is for the
+    message.
 
     Raises:
         ModelError: no such file.
     """
-    names = names_in(folder)
+    names = names_in(package)
     if str(name) in names:
-        return (resources.files("jaxfit.models") / folder / f"{name}{SUFFIX}").read_bytes()
+        return (resources.files(package) / "bundled" / f"{name}{SUFFIX}").read_bytes()
     try:
         return Path(name).read_bytes()
     except (OSError, ValueError) as error:
@@ -198,7 +200,7 @@ def _parse(data: bytes) -> Model:
         cascade=_cascade(header, tensors, frame, scheme.count),
         scheme=scheme,
         placements=placements,
-        head=_head(tensors, scheme.count),
+        aligned=_aligned(tensors, scheme.count),
         confidence=_confidence(tensors),
         training=header["training"],
     )
@@ -206,8 +208,8 @@ def _parse(data: bytes) -> Model:
 
 def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Frame, count: int) -> Cascade:
     """The cascade, of ``count`` landmarks."""
-    kind = SPACES[header["space"]]
-    space = _assembled("space", kind, tensors, {"landmarks": count, "dimensions": 3 if kind is CameraASM else 2})
+    kind: Any = SPACES[header["space"]]
+    space = _assembled("space", kind, tensors, {"landmarks": count, "dimensions": kind.dimensions})
     options = dict(header["descriptor"])
     descriptor = DESCRIPTORS[options.pop("kind")](**options)
     steps, features, params = len(tensors["windows"]), count * descriptor.size, space.size
@@ -240,7 +242,7 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
     )
 
 
-def _head(tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
+def _aligned(tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
     """What a model of 3D alignment aligns, of ``count`` landmarks."""
     if not any(name.startswith("head.") for name in tensors):
         return None

@@ -4,12 +4,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from jaxfit.cascade.confidence import Confidence
-from jaxfit.cascade.fit import solid_of
+from jaxfit.cascade.fit import space_3d_of
 from jaxfit.cascade.model import Cascade
-from jaxfit.data.placements import Placement, placements_of
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.camera_asm import CameraASM
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.cascade.starts import Starts
+from jaxfit.errors import InputError
+from jaxfit.models.placements import Placement, placements_of
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.space import ShapeSpace3D
 
 SQUARE = "square"  # the kind of box that every model knows: the bounding square of the landmarks, give or take
 
@@ -24,15 +25,16 @@ class Model:
         placements: for each kind of face box that was measured in training, where faces lie in it; ``"square"`` is
             always there.
         training: how it was made: method, options, numbers of faces; plain JSON values.
-        head: for 3D alignment, what is aligned to the landmarks that the cascade finds; None for other methods.
-        confidence: how likely its fits are good; None: nobody has taught it.
+        aligned: for 3D alignment, the 3D shape space that is aligned to the landmarks which the cascade finds; None for
+            other methods.
+        confidence: how likely its fits are good; None: it was not learned.
     """
 
     cascade: Cascade
     scheme: Scheme
     placements: dict[str, Placement]
     training: dict[str, Any] = field(default_factory=dict)
-    head: CameraASM | None = None
+    aligned: ShapeSpace3D | None = None
     confidence: Confidence | None = None
 
     def __post_init__(self) -> None:
@@ -42,14 +44,19 @@ class Model:
     def __repr__(self) -> str:
         # Not the arrays, which would fill a notebook's page.
         knows = [f"{self.scheme.count} landmarks ({self.scheme.name})"]
-        knows += ["3D shape and pose"] * (self.solid is not None) + ["confidence"] * (self.confidence is not None)
+        knows += ["3D shape and pose"] * (self.space_3d is not None) + ["confidence"] * (self.confidence is not None)
         how = f"{self.training.get('method', 'trained')} in {len(self.cascade.weights)} steps"
         return f"<jaxfit model: {', '.join(knows)}; {how} on {self.cascade.descriptor}>"
 
     @property
-    def solid(self) -> CameraASM | None:
+    def space_3d(self) -> ShapeSpace3D | None:
         """The shape space of the model's 3D results; None if it has none."""
-        return solid_of(self.cascade, self.head)
+        return space_3d_of(self.cascade, self.aligned)
+
+    @property
+    def starts(self) -> Starts:
+        """The starts that the model was trained for; a single one if it does not say."""
+        return Starts(self.training.get("initialisations", 1), *self.training.get("rotations", ()))
 
     @property
     def known_placements(self) -> dict[str, Placement]:
@@ -61,12 +68,12 @@ class Model:
         """Where faces lie in boxes of a kind.
 
         Raises:
-            InputError: nobody has measured that kind of box for landmarks like the model's.
+            InputError: that kind of box was never measured for landmarks like the model's.
         """
         known = self.known_placements
         if kind not in known:
             raise InputError(
                 f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}: give it boxes of a kind that "
-                "it knows, or teach it this one (jaxfit.calibrate_boxes)"
+                "it knows, or measure this one (jaxfit.learning.calibrate_boxes)"
             )
         return known[kind]

@@ -23,7 +23,7 @@ from threading import BoundedSemaphore
 from typing import Any
 from urllib.parse import parse_qs
 
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.errors import ImageError, InputError
 from jaxfit.serving.service import Closed, Service
 
 HOST = "127.0.0.1"

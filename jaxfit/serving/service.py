@@ -8,15 +8,14 @@ import numpy as np
 
 from jaxfit.data.detectors import Detector
 from jaxfit.data.headers import stored_size
-from jaxfit.data.images import decode_image
-from jaxfit.data.overlays import outline_of
-from jaxfit.evaluation.pose import ANGLES
-from jaxfit.exceptions import ImageError, InputError, JaxfitError
-from jaxfit.fitting import Fits, fit, passes_from, warm_up
+from jaxfit.data.overlays import outline_of, solid_points
+from jaxfit.data.pictures import decode_image
+from jaxfit.data.rows import Row, rounded
+from jaxfit.errors import ImageError, InputError, JaxfitError
+from jaxfit.fitting.fit import fit, passes_from, warm_up
 from jaxfit.models.model import Model
 
 MOST_PIXELS = 50_000_000  # of a picture; decoded, it takes three bytes each
-_DIGITS = 3  # after the point: thousandths of pixels and degrees
 
 
 class Closed(JaxfitError):
@@ -48,7 +47,7 @@ class Service:
                 "name": name,
                 "landmarks": model.scheme.count,
                 "lines": model.scheme.lines,
-                "solid": model.solid is not None,
+                "solid": model.space_3d is not None,
             }
             for name, model in self._models.items()
         ]
@@ -68,8 +67,7 @@ class Service:
             detector: the name of one of the detectors.
 
         Returns:
-            The picture's width and height, upright as its EXIF data say; its faces; and what became of those that were
-            found but not fitted. All coordinates are in pixels.
+            The picture's width and height, upright as its EXIF data say; its faces; and why others that were found have no fit. All coordinates are in pixels.
 
         Raises:
             InputError: no such model or detector, or the model does not know the detector's boxes.
@@ -107,36 +105,18 @@ def _fitted(data: bytes, model: Model, detector: Detector) -> dict[str, Any]:
     """What `Service.fit` gives."""
     image = decode_image(data)
     fits = fit(model, [image], detector=detector)
-    found = np.isfinite(fits.boxes).all(1)  # else there is one row, which says that there is no face
     return {
         "width": image.shape[1],
         "height": image.shape[0],
-        "faces": [_face(fits, number) for number in map(int, np.flatnonzero(fits.fitted))],
-        "problems": [why for number, why in fits.problems.items() if found[number]],
+        "faces": [_face(row) for row in fits.rows()],
+        "problems": [problem.why for problem in fits.problems if problem.row is not None],
     }
 
 
-def _face(fits: Fits, number: int) -> dict[str, Any]:
-    """One face: everything that `Fits` says of it but the coefficients, and the outline of its head."""
-    face: dict[str, Any] = {
-        "box": _plain(fits.boxes[number]),
-        "kind": fits.kinds[number],
-        "confidence": None if fits.confidence is None else _plain(fits.confidence[number]),
-        "landmarks": _plain(fits.landmarks[number]),
-    }
-    if fits.landmarks_3d is None or fits.pose is None or fits.scale is None:
-        return face
-    # Of alignments, as in the overlays, the landmarks that were found at the aligned shape's depths.
-    solid = np.column_stack([fits.landmarks[number], fits.landmarks_3d[number, :, 2]])
-    outline = outline_of(solid, fits.pose[number])
-    return face | {
-        "landmarks_3d": _plain(fits.landmarks_3d[number]),
-        "pose": dict(zip(ANGLES, _plain(fits.pose[number]), strict=True)),
-        "scale": _plain(fits.scale[number]),
-        "head": {"corners": _plain(outline.corners), "axes": _plain(outline.axes)},
-    }
-
-
-def _plain(values: np.ndarray | np.floating) -> Any:
-    """Numbers as JSON has them: a number, or lists of numbers."""
-    return np.round(values, _DIGITS).tolist()
+def _face(row: Row) -> dict[str, Any]:
+    """One face: its row, and the outline of its head."""
+    solid = solid_points(row)
+    if solid is None:
+        return row
+    outline = outline_of(solid, np.array(list(row["pose"].values())))
+    return row | {"outline": {"corners": rounded(outline.corners), "axes": rounded(outline.axes)}}

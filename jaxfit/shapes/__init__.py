@@ -4,5 +4,5 @@ from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.similarity import SimilarityASM
 
-# What model files call the shape spaces; a new one is a line here, and one in ``jaxfit.training.METHODS``.
+# What model files call the shape spaces; a new one is a line here, and one in ``jaxfit.learning.train.METHODS``.
 SPACES = {"points": PointSpace, "similarity-asm": SimilarityASM, "camera-asm": CameraASM}

@@ -9,7 +9,7 @@ from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 _EXACT = lax.Precision.HIGHEST
 SIGMAS = 3.0  # the thesis's

@@ -16,6 +16,8 @@ _FEWEST = 4  # points that determine a camera, not all in a plane
 # Shares of the largest extent below which points count as flat, and rows of a camera as parallel.
 _FLAT = 1e-3
 
+ANGLES = ("roll", "pitch", "yaw")  # the columns of poses
+
 # The order in which the three rotations of a pose are applied to the upright head: the first is Eq. 15's.
 PoseOrder = Literal["roll-pitch-yaw", "roll-yaw-pitch"]
 

@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 from functools import partial
+from typing import ClassVar
 
 import jax
 from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.shapes.alignment import align_head, refine_head
+from jaxfit.shapes.alignment import Alignment, align_head, refine_head
 from jaxfit.shapes.asm import ActiveShapeModel, Coefficients
 from jaxfit.shapes.camera import (
     Camera,
@@ -40,10 +41,17 @@ class CameraASM:
     model: ActiveShapeModel
     sigmas: Scalar
 
+    dimensions: ClassVar[int] = 3
+
     @property
     def size(self) -> int:
         """Number of parameters, m + 6."""
-        return len(self.model.deviations) + _POSE
+        return self.modes + _POSE
+
+    @property
+    def modes(self) -> int:
+        """Number of coefficients, m."""
+        return len(self.model.deviations)
 
     @property
     def closed_under_rotation(self) -> bool:
@@ -82,15 +90,20 @@ class CameraASM:
         angles = jnp.where(angle == 0, params[-3:], rotation_angles(rotation))
         return _joined(params[:-_POSE], camera.scale, rotate(camera.place, angle), angles)
 
-    def encode(self, landmarks: Landmarks, refine: bool = False) -> Params:
-        """The parameters of known landmarks, by :func:`align_head`, and :func:`refine_head` if asked for.
+    def encode(self, landmarks: Landmarks) -> Params:
+        """The parameters of known landmarks, by :func:`align_head`.
 
         Where b leaves the ellipsoid it is pulled back, and the camera is then the best one for it. The angles are NaN
         where the landmarks, such as points on a line, do not determine them.
         """
-        b, camera, _, _ = found = align_head(self.model, landmarks)
-        if refine:
-            b, camera, _, _ = refine_head(self.model, landmarks, found)
+        return self._restricted(landmarks, align_head(self.model, landmarks))
+
+    def refined(self, landmarks: Landmarks) -> Params:
+        """As :meth:`encode`, with b and the camera adjusted together afterwards (:func:`refine_head`)."""
+        return self._restricted(landmarks, refine_head(self.model, landmarks, align_head(self.model, landmarks)))
+
+    def _restricted(self, landmarks: Landmarks, found: Alignment) -> Params:
+        b, camera, _, _ = found
         inside = self.model.restrict(b, self.sigmas)
         again = align_shapes(self.model.reconstruct(inside), landmarks, jnp.ones(len(landmarks)))
         scale, rotation, place, ok = jax.tree.map(partial(jnp.where, (inside == b).all()), camera, again)

@@ -1,6 +1,7 @@
 """The shape space of the original SDM: the parameters are the landmarks themselves."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -22,6 +23,8 @@ class PointSpace:
     """
 
     mean: Landmarks
+
+    dimensions: ClassVar[int] = 2
 
     @property
     def size(self) -> int:

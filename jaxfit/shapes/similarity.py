@@ -1,13 +1,14 @@
 """The parametric method's shape space: an Active Shape Model, scaled along the axes, turned and moved (thesis 3.2)."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.shapes.asm import ActiveShapeModel, learn_shape_model, likely_radius
 from jaxfit.shapes.procrustes import align_similarity, generalised_procrustes
 from jaxfit.shapes.space import Start, rotate, wrapped
@@ -30,6 +31,8 @@ class SimilarityASM:
 
     model: ActiveShapeModel
     sigmas: Scalar
+
+    dimensions: ClassVar[int] = 2
 
     @property
     def size(self) -> int:

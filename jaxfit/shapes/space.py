@@ -1,11 +1,12 @@
 """The seam for shape spaces: a coordinate system for faces."""
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import ClassVar, NamedTuple, Protocol, runtime_checkable
 
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxfit.types import Landmarks, Params, Point, Scalar
+from jaxfit.shapes.asm import ActiveShapeModel
+from jaxfit.types import Landmarks, Landmarks3D, Params, Point, Scalar
 
 
 class Start(NamedTuple):
@@ -31,6 +32,8 @@ class Start(NamedTuple):
 @runtime_checkable
 class ShapeSpace(Protocol):
     """Turns a parameter vector into landmarks and a step into new parameters; every array is one face, a pytree."""
+
+    dimensions: ClassVar[int]  # of the points of its shape model: 2 or 3
 
     @property
     def size(self) -> int:
@@ -72,6 +75,37 @@ class ShapeSpace(Protocol):
 
     def advance(self, params: Params, step: Float[Array, "params"]) -> Params:
         """Apply a step."""
+        ...
+
+
+@runtime_checkable
+class ShapeSpace3D(ShapeSpace, Protocol):
+    """A shape space whose faces are three-dimensional: parameters say how the head is turned and how deep it is."""
+
+    @property
+    def model(self) -> ActiveShapeModel:
+        """The 3D shape model, in pixels of the canonical face."""
+        ...
+
+    def landmarks_3d(self, params: Params) -> Landmarks3D:
+        """The landmarks with their depths away from the viewer, in the same unit."""
+        ...
+
+    def pose(self, params: Params) -> Float[Array, "3"]:
+        """Roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left."""
+        ...
+
+    def b(self, params: Params) -> Float[Array, "modes"]:
+        """The coefficients of the 3D shape model."""
+        ...
+
+    @property
+    def modes(self) -> int:
+        """Number of coefficients."""
+        ...
+
+    def refined(self, landmarks: Landmarks) -> Params:
+        """As :meth:`encode`, with coefficients and camera adjusted together afterwards; slow."""
         ...
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from jax import numpy as jnp
 from scipy import ndimage
 
-from jaxfit.cascade.train import Spread, TrainingSet
+from jaxfit.cascade.greedy import TrainingSet
+from jaxfit.cascade.starts import Spread
 from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import bilinear, pack
 from jaxfit.image.smoothing import smooth

@@ -12,7 +12,7 @@ from jaxfit.cascade.confidence import Clues, Confidence, count_moves
 from jaxfit.cascade.confidence import moves_of as moves_of_arrays
 from jaxfit.cascade.fit import find as find_unjitted
 from jaxfit.cascade.fit import find_clues, fit_crops
-from jaxfit.cascade.train import train_cascade
+from jaxfit.cascade.greedy import train_cascade
 from jaxfit.shapes.space import rotate
 
 STEPS = 2

@@ -6,7 +6,7 @@ import pytest
 from jax import numpy as jnp
 
 from jaxfit.cascade.regression import Moments, main_directions, principal_axes, solve, spectrum
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 SAMPLES, FEATURES, PARAMS = 80, 6, 3
 

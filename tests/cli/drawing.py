@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.images import write_image
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 
 TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]

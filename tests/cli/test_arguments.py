@@ -7,9 +7,9 @@ import pytest
 from jaxfit.cli.arguments import variant
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.descriptors.sift import Sift
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
-from jaxfit.training import METHODS, Options, seen
+from jaxfit.learning.methods import METHODS, Options, seen
 
 GIVEN = Options(ridge=3.0, sigmas=4.0, descriptor=Sift("principal", "vector"), frame=Frame(100, 60.0))
 

@@ -20,14 +20,14 @@ import jaxfit
 from jaxfit.cli.labelled_faces import read_faces
 from jaxfit.cli.main import main, parser
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.datasets import FORMATS
-from jaxfit.data.images import write_image
 from jaxfit.data.overlays import draw_head, draw_landmarks
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import read_pts, write_pts
-from jaxfit.data.records import Dataset
 from jaxfit.evaluation.pose import pose_report
-from jaxfit.models.heads import load_head, save_head
-from jaxfit.shapes.schemes import AFLW21, NO_LANDMARKS
+from jaxfit.heads.model import load_head_model, save_head_model
+from jaxfit.labels.datasets import FORMATS
+from jaxfit.labels.records import Dataset
+from jaxfit.schemes.known import AFLW21, NO_LANDMARKS
 
 BOX = ("x", "y", "width", "height")
 POSED = ("roll", "pitch", "yaw", "true_roll", "true_pitch", "true_yaw")
@@ -425,7 +425,7 @@ def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypat
 
     monkeypatch.setattr("jaxfit.cli.train.train", train)
     head, out = tmp_path / "mine.safetensors", tmp_path / "out.safetensors"
-    save_head(load_head(), head)
+    save_head_model(load_head_model(), head)
     command = [
         "train",
         "--data",
@@ -452,7 +452,7 @@ def test_training_on_lifted_labels(heads, head_models, tmp_path: Path, monkeypat
     assert f"trained on {3 + len(turned)} faces" in said.out
     for words in ("one more was torn", "1 of 6 faces left out: fewer than 8 labelled points", "turned by less than 9"):
         assert words in said.err
-    assert jaxfit.load(out).solid is not None
+    assert jaxfit.load(out).space_3d is not None
 
     # A head model knows neither faces without landmarks nor points of unknown meaning.
     monkeypatch.setitem(FORMATS, "hidden", lambda _: Dataset("", NO_LANDMARKS, tuple(map(unlabelled, heads[:2]))))
@@ -568,7 +568,7 @@ def test_training_without_the_pictures_of_the_test(heads, head_models, tmp_path:
 
 
 def test_3d_methods_need_a_head_model_of_the_landmarks(drawn: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("jaxfit.training.cut", None)  # not reached
+    monkeypatch.setattr("jaxfit.learning.train.cut", None)  # not reached
     out = tmp_path / "out.safetensors"
     for method in ("alignment3d", "regression3d"):
         train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar", "--method", method]

@@ -12,7 +12,7 @@ import pytest
 from drawing import TRAIN, draw_faces
 
 from jaxfit.evaluation.statistics import rank_sum, signed_rank
-from jaxfit.training import Options
+from jaxfit.learning.methods import Options
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "crossvalidate.py"
 METHODS = ["sdm", "sdm:ridge=9,spread=1.2"]

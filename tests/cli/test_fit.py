@@ -15,7 +15,7 @@ from test_commands import rows_of, write_boxes
 import jaxfit
 from jaxfit.cli.main import main
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.images import write_image
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import read_pts
 
 

@@ -22,8 +22,8 @@ PROGRAM = """
 import sys
 import numpy as np
 import jaxfit
-from jaxfit.data.images import read_grey
-from jaxfit.evaluating import start_boxes
+from jaxfit.data.pictures import read_grey
+from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.image.frame import Frame
 
 folder, target, address, index = *sys.argv[1:4], int(sys.argv[4])
@@ -147,7 +147,9 @@ def test_two_processes_are_as_good_as_one(spoiled: Path, alone: Path, tmp_path: 
     errors = [np.load(tmp_path / f"{index}-errors.npy") for index in range(2)]
     np.testing.assert_array_equal(*errors)
     found = jaxfit.read_dataset(f"pts:{spoiled}").faces
-    expected = jaxfit.evaluate(jaxfit.load(alone), found, jaxfit.evaluating.start_boxes(found), normaliser="box").errors
+    expected = jaxfit.evaluate(
+        jaxfit.load(alone), found, jaxfit.evaluation.evaluate.start_boxes(found), normaliser="box"
+    ).errors
     np.testing.assert_allclose(errors[0], expected, rtol=0.02)
     assert np.isinf(errors[0][-1])
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from jaxfit.data.boxes import bounding_square, box_centre, box_problem, jitter, read_boxes
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 POINTS = arrays(np.float64, st.tuples(st.integers(1, 9), st.just(2)), elements=st.floats(-1e4, 1e4))
 

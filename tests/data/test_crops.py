@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from jaxfit.data.boxes import box_centre, box_problem
 from jaxfit.data.crops import Crops, cut, cut_face, to_crop, to_image
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 
 FRAME = Frame(crop=64, face=36.0)

@@ -6,7 +6,7 @@ import pytest
 
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detectors import Detection, best_match, detect_faces
-from jaxfit.data.images import read_image, to_grey
+from jaxfit.data.pictures import read_image, to_grey
 
 TRUTH = np.array([100.0, 100.0, 50.0, 50.0])
 

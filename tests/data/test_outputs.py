@@ -6,7 +6,7 @@ import stat
 import pytest
 
 from jaxfit.data.outputs import atomic_write, write_csv
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 
 @pytest.mark.parametrize(("mode", "content"), [("wb", b"\x00\r\n\xff"), ("w", "größe\nx\r\n")])

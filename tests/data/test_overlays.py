@@ -9,8 +9,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from jaxfit.data.overlays import draw_head, draw_landmarks
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.schemes import AFLW21, IBUG68, Scheme
+from jaxfit.errors import InputError
+from jaxfit.schemes.known import AFLW21, IBUG68
+from jaxfit.schemes.scheme import Scheme
 
 POINT = Scheme(name="points1", count=1)
 CYAN, RED = [0, 255, 255], [255, 60, 60]

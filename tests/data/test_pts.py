@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from jaxfit.data.images import read_image
-from jaxfit.data.pts import read_pts, read_pts_folder, write_pts
-from jaxfit.exceptions import DatasetError, ImageError, InputError
+from jaxfit.data.pictures import read_image
+from jaxfit.data.pts import read_pts, write_pts
+from jaxfit.errors import DatasetError, ImageError, InputError
+from jaxfit.labels.importers.pts_folder import read_pts_folder
 
 POINTS = np.array([[0.0, 0.0], [10.5, -3.25], [1234.125, 7.0]])
 HEADER = "version: 1\nn_points: 2\n{\n1 2\n3 4.5\n}\n"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxfit.data.videos import Video, write_video
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.errors import ImageError, InputError
 
 
 def film(path: Path, count: int = 12, codec: str = "mp4v", rate: float = 25.0) -> list[np.ndarray]:

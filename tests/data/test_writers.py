@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from jaxfit.data.fitted import Chunks, FittedFace, Problem
+
 from jaxfit.data.pts import read_pts
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, Results
-from jaxfit.shapes.schemes import IBUG68
+from jaxfit.schemes.known import IBUG68
 
 RNG = np.random.default_rng(0)
 

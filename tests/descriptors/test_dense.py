@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.descriptor import Descriptor, describe_point
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 SIZE = 76
 MIDDLE = (SIZE - 1) / 2

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Prepared, Sift
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.sampling import pack
 
 SIZE = 80

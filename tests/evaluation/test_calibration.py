@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import auroc, calibration_error, reliability
-from jaxfit.exceptions import InputError
 
 # Few different values, so that there are ties, some at the edges of bins.
 forecasts = st.lists(st.tuples(st.integers(0, 30).map(lambda n: n / 30), st.booleans()), min_size=1, max_size=40)

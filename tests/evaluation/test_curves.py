@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import areas, auc, ced, failure_rate, failures, measurable
-from jaxfit.exceptions import InputError
 
 ERRORS = st.lists(st.floats(0, 0.5) | st.sampled_from([np.inf, np.nan]), max_size=30).map(np.array)
 

@@ -5,9 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.evaluation.errors import NORMALISER_TITLES, NORMALISERS, nmed, normaliser_length
-from jaxfit.exceptions import InputError
-from jaxfit.shapes.schemes import AFLW21, IBUG68, LFPW29, SCHEMES, Scheme, scheme_named
+from jaxfit.errors import InputError
+from jaxfit.evaluation.errors import nmed
+from jaxfit.schemes.known import AFLW21, IBUG68, LFPW29, SCHEMES, scheme_named
+from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS, normaliser_length
+from jaxfit.schemes.scheme import Scheme
 
 FIVE = Scheme(name="five", count=5, outer_eyes=(0, 1), pupils=((0, 2), (1, 3)))
 

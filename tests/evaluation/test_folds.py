@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.exceptions import InputError
 
 
 @st.composite

@@ -12,12 +12,13 @@ from scipy import ndimage
 
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift, principal_orientation, upright_window
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import ced
 from jaxfit.evaluation.plots import plot_ced, plot_descriptor, plot_modes, plot_pose_surface
 from jaxfit.evaluation.pose import PoseGrid
-from jaxfit.exceptions import InputError
+from jaxfit.schemes.known import IBUG68
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.asm import ActiveShapeModel
-from jaxfit.shapes.schemes import IBUG68, Scheme
 
 ERRORS = {"SDM": np.array([0.02, 0.04, np.inf]), "parametric": np.array([0.01, 0.03, np.nan])}
 

@@ -10,12 +10,11 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.pose import (
-    ANGLES,
     POSE_COLUMNS,
     compare_pose,
     grid_centres,
-    in_order,
     pose_errors,
     pose_grid,
     pose_grid_table,
@@ -24,7 +23,8 @@ from jaxfit.evaluation.pose import (
     summarise_pose,
 )
 from jaxfit.evaluation.tables import comparison_row, markdown_table, text_table
-from jaxfit.exceptions import InputError
+from jaxfit.shapes.camera import ANGLES
+from jaxfit.shapes.pose_order import in_order
 
 UNKNOWN, LOST = np.nan, (np.nan, np.nan, np.nan)
 ROLL, PITCH, YAW = range(3)

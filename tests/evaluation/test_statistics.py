@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import areas, auc, failure_rate, failures
 from jaxfit.evaluation.statistics import (
     auc_ci,
@@ -19,7 +20,6 @@ from jaxfit.evaluation.statistics import (
     subject_means,
     summarise,
 )
-from jaxfit.exceptions import InputError
 
 
 def lognormal_errors(seed: int, faces: int) -> np.ndarray:

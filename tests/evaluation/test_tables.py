@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.statistics import rank_sum, signed_rank
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, comparison_row, markdown_table, text_table
-from jaxfit.exceptions import InputError
 
 ROWS = [
     {"method": "SDM", "faces": 836, "NMED": 0.07631, "p": None},

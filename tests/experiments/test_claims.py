@@ -10,7 +10,7 @@ from jaxfit.evaluation.statistics import holm, rank_sum
 from jaxfit.experiments.claims import Claim, claims
 from jaxfit.experiments.config import config_from
 from jaxfit.experiments.results import DatasetResults, PoseResults, Results
-from jaxfit.shapes.schemes import AFLW21
+from jaxfit.schemes.known import AFLW21
 
 TEXT = """
 folds = 2

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from jaxfit.descriptors import DESCRIPTORS
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.experiments.config import config_from, read_config
-from jaxfit.training import seen
+from jaxfit.learning.methods import seen
 
 TEXT = """
 folds = 3

@@ -22,12 +22,10 @@ from filelock import FileLock
 import jaxfit
 from jaxfit.cascade.model import first_steps
 from jaxfit.cli.main import main
-from jaxfit.compiling import keep_compiled_code
-from jaxfit.data.datasets import FORMATS
+from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.pts import write_pts
-from jaxfit.data.records import Dataset, FaceRecord
-from jaxfit.evaluating import evaluate
-from jaxfit.exceptions import ImageError, InputError
+from jaxfit.errors import ImageError, InputError
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.experiments.cells import Cell, Grid, Times, plan
 from jaxfit.experiments.config import Config, config_from
 from jaxfit.experiments.document import Document, Gallery
@@ -36,8 +34,11 @@ from jaxfit.experiments.report import document
 from jaxfit.experiments.results import Results, read_results
 from jaxfit.experiments.running import keep_settings, run, standing
 from jaxfit.experiments.thesis import THESIS
-from jaxfit.shapes.schemes import AFLW21, IBUG68, Scheme
-from jaxfit.training import Trained
+from jaxfit.labels.datasets import FORMATS
+from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.learning.train import Trained
+from jaxfit.schemes.known import AFLW21, IBUG68
+from jaxfit.schemes.scheme import Scheme
 
 FACES = 14  # in two folds: fewer than 8, of which batches are made, lest these be compiled too
 # Two steps, and starts far from upright: enough to tell apart what must be.
@@ -124,7 +125,7 @@ def test_rows_of_the_grid_are_what_shorter_cascades_find(results: Results, confi
     faces = lab.faces["drawn"]
     rows = faces.tested(0)
     model = lab.load_model("grid/drawn/parametric+alignment3d/a2/fold0")
-    short = jaxfit.Model(first_steps(model.cascade, 1), model.scheme, model.placements, {}, model.head)
+    short = jaxfit.Model(first_steps(model.cascade, 1), model.scheme, model.placements, {}, model.aligned)
     again = evaluate(short, faces.chosen(rows), faces.boxes[rows])
     np.testing.assert_allclose(again.errors, dataset.grid["parametric"][0, 1, rows], rtol=1e-4)
     np.testing.assert_allclose(again.errors_3d, dataset.grid["alignment3d"][0, 1, rows], rtol=1e-4)

@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
+from jaxfit.errors import InputError
 from jaxfit.evaluation.plots import plot_ced, plot_pose_surface
 from jaxfit.evaluation.pose import PoseGrid
-from jaxfit.exceptions import InputError
 from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Section, Table
 from jaxfit.experiments.figure_files import inline_svg
 from jaxfit.experiments.page import write_document
 from jaxfit.experiments.table_files import latex_table
-from jaxfit.shapes.schemes import IBUG68
+from jaxfit.schemes.known import IBUG68
 
 pytest.importorskip("jinja2")
 METHODS = ("SDM", "parametric", "3D alignment")

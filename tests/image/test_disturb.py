@@ -6,7 +6,7 @@ import pytest
 from jax import numpy as jnp
 from jax import random
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance, Warp, draw_warp, spoiled
 
 NOTHING = Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

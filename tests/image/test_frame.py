@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 
 

@@ -30,7 +30,7 @@ def test_models_are_listed_and_described(capsys) -> None:
     for name in jaxfit.bundled():
         model = jaxfit.load(name)
         assert f"{model.scheme.count} ({model.scheme.name})" in told[name]
-        assert ("3D shape and pose" in told[name]) == (model.solid is not None)
+        assert ("3D shape and pose" in told[name]) == (model.space_3d is not None)
         assert all(kind in told[name] for kind in model.known_placements)
     assert main(["models", "nobody"]) == 2
     assert "no model 'nobody'" in capsys.readouterr().err

@@ -17,18 +17,18 @@ from safetensors.numpy import load as unpack
 from safetensors.numpy import save as pack
 
 from jaxfit.cascade.model import Cascade
-from jaxfit.cascade.train import Spread
-from jaxfit.data.placements import Placement
+from jaxfit.cascade.starts import Spread
 from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
-from jaxfit.exceptions import InputError, ModelError
+from jaxfit.errors import InputError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.files import bundled, load, save
 from jaxfit.models.model import Model
+from jaxfit.models.placements import Placement
+from jaxfit.schemes.known import scheme_named
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
-from jaxfit.shapes.schemes import scheme_named
 from jaxfit.shapes.similarity import SimilarityASM
 from jaxfit.shapes.space import Start
 
@@ -372,7 +372,7 @@ def test_bundled_models_load():
         assert mean.shape == (found.scheme.count, 2)
         assert all(np.isfinite(array).all() for array in jax.tree.leaves(found.cascade))
         in_3d = found.training["method"].endswith("3d")
-        assert (found.solid is not None) == in_3d
+        assert (found.space_3d is not None) == in_3d
         assert (found.head is not None) == (found.training["method"] == "alignment3d")
 
 
@@ -387,7 +387,7 @@ def test_files_from_before_heads_still_load(good, loaded):
     # What they hold is what those of 2D models hold now.
     assert not any(name.startswith("head") for name in unpack(good))
     found = loaded(good)
-    assert found.head is found.solid is None
+    assert found.head is found.space_3d is None
 
 
 def test_a_model_knows_square_boxes():
@@ -412,7 +412,7 @@ def test_models_of_all_methods_come_back_as_they_were(tmp_path, made):
 
 
 def test_what_is_seen_in_3d():
-    assert model().solid is parametric_model().solid is None
+    assert model().solid is parametric_model().space_3d is None
     in_between = regression_model()
     assert in_between.solid is in_between.cascade.space
     aligned = alignment_model()

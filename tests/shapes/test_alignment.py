@@ -8,10 +8,10 @@ import pytest
 from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
-from jaxfit.models.heads import load_head
+from jaxfit.heads.model import load_head_model
+from jaxfit.schemes.known import IBUG68
 from jaxfit.shapes.alignment import align_head, refine_head
 from jaxfit.shapes.asm import ActiveShapeModel
-from jaxfit.shapes.schemes import IBUG68
 
 LANDMARKS, MODES = 20, 6
 
@@ -27,7 +27,7 @@ def random_model():
     return ActiveShapeModel(*(jnp.asarray(part, jnp.float32) for part in (mean, modes, np.linspace(3, 1, MODES))))
 
 
-MODEL, FACE = random_model(), load_head().of(IBUG68, 0.99)
+MODEL, FACE = random_model(), load_head_model().of(IBUG68, 0.99)
 models = pytest.mark.parametrize("model", [MODEL, FACE], ids=["random", "head"])
 
 # A batch of faces: (N, L, 2) landmarks and (N, L) weights. The same N everywhere compiles once.

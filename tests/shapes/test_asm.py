@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jax import numpy as jnp
 
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 from jaxfit.shapes.asm import learn_shape_model, likely_radius
 
 DIMENSIONS = pytest.mark.parametrize("dimensions", [2, 3])

@@ -8,17 +8,17 @@ import pytest
 from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
-from jaxfit.models.heads import load_head
+from jaxfit.heads.model import load_head_model
+from jaxfit.schemes.known import AFLW21
 from jaxfit.shapes.camera import align_shapes, show
 from jaxfit.shapes.camera_asm import CameraASM
-from jaxfit.shapes.schemes import AFLW21
 from jaxfit.shapes.space import Start, rotate
 
 NOSE, LEFT_EYE, RIGHT_EYE = 14, *AFLW21.outer_eyes
 COUNT = 20  # faces, everywhere: one number of them compiles once
 
 
-SPACE = CameraASM(load_head().of(AFLW21, 0.9), jnp.float32(3.0))
+SPACE = CameraASM(load_head_model().of(AFLW21, 0.9), jnp.float32(3.0))
 MODES = SPACE.size - 6
 
 landmarks = jax.jit(jax.vmap(SPACE.landmarks))

@@ -9,7 +9,7 @@ from jaxfit.data.detectors.dlib_hog import DlibHog
 from jaxfit.data.detectors.haar import Haar
 from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.detectors.yunet import YuNet
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 __all__ = ["DEFAULT_DETECTOR", "DETECTORS", "Detection", "Detector", "best_match", "detect_faces", "detector_named"]
 

@@ -32,6 +32,11 @@ class Detector(Protocol):
         ...
 
     @property
+    def colour(self) -> bool:
+        """Whether it looks at colours; pictures are read in grey for detectors that do not."""
+        ...
+
+    @property
     def rough(self) -> bool:
         """Whether its boxes lie around faces so differently that a second pass of the cascade pays."""
         ...

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from jaxfit.data.detectors.detector import Detection, largest_first
-from jaxfit.data.images import to_grey
-from jaxfit.exceptions import InputError
+from jaxfit.data.pictures import to_grey
+from jaxfit.errors import InputError
 
 KIND = "dlib"
 
@@ -35,6 +35,11 @@ class DlibHog:
     def kinds(self) -> tuple[str, ...]:
         """One."""
         return (KIND,)
+
+    @property
+    def colour(self) -> bool:
+        """No: it looks at grey pictures."""
+        return False
 
     @property
     def rough(self) -> bool:

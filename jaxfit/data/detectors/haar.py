@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.detectors.detector import Detection, area, holds, largest_first, overlap
-from jaxfit.data.images import to_grey
+from jaxfit.data.pictures import to_grey
 
 FRONTAL, PROFILE = "haar-frontal", "haar-profile"
 
@@ -44,6 +44,11 @@ class Haar:
     def kinds(self) -> tuple[str, ...]:
         """Of the frontal and of the profile cascade."""
         return FRONTAL, PROFILE
+
+    @property
+    def colour(self) -> bool:
+        """No: it looks at grey pictures."""
+        return False
 
     @property
     def rough(self) -> bool:

@@ -19,6 +19,11 @@ class Whole:
         return (KIND,)
 
     @property
+    def colour(self) -> bool:
+        """No: it does not look at all."""
+        return False
+
+    @property
     def rough(self) -> bool:
         """Yes: docs/boxes.md has both."""
         return True

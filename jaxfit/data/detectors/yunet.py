@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from jaxfit.data.detectors.detector import Detection, largest_first
-from jaxfit.exceptions import InputError
+from jaxfit.errors import InputError
 
 KIND = "yunet"
 
@@ -43,6 +43,11 @@ class YuNet:
     def kinds(self) -> tuple[str, ...]:
         """One kind for all poses."""
         return (KIND,)
+
+    @property
+    def colour(self) -> bool:
+        """Yes."""
+        return True
 
     @property
     def rough(self) -> bool:

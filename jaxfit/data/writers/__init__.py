@@ -5,9 +5,9 @@ from jaxfit.data.writers.csv_tables import write_tables
 from jaxfit.data.writers.json_lines import write_json_lines
 from jaxfit.data.writers.parquet import require_pyarrow, write_parquet
 from jaxfit.data.writers.pts_files import write_pts_files
-from jaxfit.data.writers.writer import Results, Writer
+from jaxfit.data.writers.writer import Writer
 
-__all__ = ["DEFAULT_FORMATS", "WRITERS", "Results", "Writer", "require_pyarrow"]
+__all__ = ["DEFAULT_FORMATS", "WRITERS", "Writer", "require_pyarrow"]
 
 WRITERS: dict[str, Writer] = {
     "csv": write_tables,

@@ -2,25 +2,24 @@
 
 import json
 from collections.abc import Iterator
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
-from jaxfit.data.fitted import FittedFace
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.writers.writer import Results
-from jaxfit.shapes.schemes import Scheme
+from jaxfit.data.rows import Row, Rows
+from jaxfit.schemes.scheme import Scheme
 
 
-def write_coco(folder: Path, results: Results) -> list[str]:
+def write_coco(folder: Path, rows: Rows) -> list[str]:
     """``keypoints.json``: the pictures with faces, and an annotation a face; scores are confidences, 1 if unknown.
 
     As in COCO, keypoints count pixels from 0 at the centre of the first, and boxes from its corner.
     """
     lists = {
-        "images": _images(results),
-        "annotations": _annotations(results),
-        "categories": iter([_category(results.scheme)]),
+        "images": _images(rows),
+        "annotations": _annotations(rows),
+        "categories": iter([_category(rows.scheme)]),
     }
     with atomic_write(folder / "keypoints.json", "w") as file:
         # Written by hand: as one object, the results of a million pictures would not fit in memory.
@@ -33,36 +32,35 @@ def write_coco(folder: Path, results: Results) -> list[str]:
     return ["keypoints.json"]
 
 
-def _numbered(results: Results) -> Iterator[tuple[int, bool, FittedFace]]:
+def _numbered(rows: Rows) -> Iterator[tuple[int, bool, Row]]:
     """The faces with the number of their picture, from 1, and whether they are its first."""
     number, before = 0, None
-    for face in results.faces():
-        first = face.image != before
-        number, before = number + first, face.image
-        yield number, first, face
+    for row in rows:
+        first = row["image"] != before
+        number, before = number + first, row["image"]
+        yield number, first, row
 
 
-def _images(results: Results) -> Iterator[dict[str, Any]]:
-    for number, first, face in _numbered(results):
+def _images(rows: Rows) -> Iterator[dict[str, Any]]:
+    for number, first, row in _numbered(rows):
         if first:
-            width, height = face.size
-            yield {"id": number, "file_name": face.image, "width": width, "height": height}
+            yield {"id": number, "file_name": row["image"], **row["size"]}
 
 
-def _annotations(results: Results) -> Iterator[dict[str, Any]]:
-    for face_number, (number, _, face) in enumerate(_numbered(results), 1):
-        across, down = face.landmarks[0::2], face.landmarks[1::2]
+def _annotations(rows: Rows) -> Iterator[dict[str, Any]]:
+    for face_number, (number, _, row) in enumerate(_numbered(rows), 1):
+        across, down = zip(*row["landmarks"], strict=True)
         width, height = (max(values) - min(values) for values in (across, down))
         yield {
             "id": face_number,
             "image_id": number,
             "category_id": 1,
-            "keypoints": [value for x, y in zip(across, down, strict=True) for value in (x, y, 2)],
+            "keypoints": list(chain.from_iterable((x, y, 2) for x, y in row["landmarks"])),
             "num_keypoints": len(across),
             "bbox": [round(value, 3) for value in (min(across) + 0.5, min(down) + 0.5, width, height)],
             "area": round(width * height, 3),
             "iscrowd": 0,
-            "score": 1.0 if face.confidence is None else face.confidence,
+            "score": row.get("confidence", 1.0),
         }
 
 

@@ -3,19 +3,17 @@
 from pathlib import Path
 
 from jaxfit.data.outputs import write_csv
-from jaxfit.data.writers.tables import tables_of
-from jaxfit.data.writers.writer import Results
+from jaxfit.data.rows import Rows, table_values
 
 
-def write_tables(folder: Path, results: Results) -> list[str]:
+def write_tables(folder: Path, rows: Rows) -> list[str]:
     """``landmarks.csv``, and for 3D models ``heads.csv``."""
     names = []
-    for table in tables_of(results):
-        names.append(f"{table.name}.csv")
-        rows = ([_text(value) for value in table.row(face)] for face in results.faces())
-        write_csv(folder / names[-1], table.columns, rows)
+    for name, columns in rows.tables().items():
+        names.append(f"{name}.csv")
+        write_csv(folder / names[-1], columns, ([_text(value) for value in table_values(name, row)] for row in rows))
     return names
 
 
-def _text(value: str | float | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.3f}"
+def _text(value: str | float) -> str:
+    return value if isinstance(value, str) else f"{value:.3f}"

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.data.pts import write_pts
-from jaxfit.data.writers.writer import Results
+from jaxfit.data.rows import Rows
 
 
-def write_pts_files(folder: Path, results: Results) -> list[str]:
+def write_pts_files(folder: Path, rows: Rows) -> list[str]:
     """``pts/FACE.pts``, counted from 1."""
     (folder / "pts").mkdir(exist_ok=True)
-    for face in results.faces():
-        write_pts(folder / "pts" / f"{face.face}.pts", np.reshape(face.landmarks, (-1, 2)))
+    for row in rows:
+        write_pts(folder / "pts" / f"{row['face']}.pts", np.array(row["landmarks"]))
     return ["pts"]

@@ -1,0 +1,433 @@
+"""Fine-tuning a cascade: all of its steps together, by stochastic gradients of the error that they leave in the end.
+
+Training one step after the other is greedy: each step is the best for itself, whatever it leaves to the later ones. The
+whole cascade is differentiable, so that all regressors can learn what serves the last step.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from math import isfinite
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import optax
+from jax import lax, random, vmap
+from jax import numpy as jnp
+from jaxtyping import Array, Bool, Float, UInt8
+
+from jaxfit.cascade.greedy import Progress, TrainingSet, draw_states
+from jaxfit.cascade.model import Cascade, Regressor
+from jaxfit.cascade.starts import Spread
+from jaxfit.cascade.state import State, advanced, landmarks_of
+from jaxfit.errors import InputError
+from jaxfit.image.disturb import Disturbance, draw_warp, spoiled
+from jaxfit.shapes.space import ShapeSpace3D
+from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Scalar
+
+# Of the canonical face's side: below it the loss grows with the square of the error, above it with the error.
+_BEND = 0.02
+# What a step's error counts, as a share of the next one's.
+_EARLIER = 0.6
+_WARM_UP = 0.05  # of the steps of the optimiser, in which its rate grows to the full one
+_BEGIN = 0.1  # of the full rate, at the very first
+_CLIP = 1.0  # norm of the gradient
+_CHECKED_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How to fine-tune.
+
+    Attributes:
+        epochs: how often each face is seen, each time from another start and in another disturbance. A few are seen
+            once more, to fill an epoch's last batch.
+        rate: of learning (Adam), at its highest, relative to the size of what is tuned; it falls to nothing along half
+            a cosine.
+        batch: faces a step of the optimiser.
+        dropped: share of the landmarks that a step does not see, so that it does not rely on few.
+        spread: factor on the spread of the starts.
+        disturbance: of the pictures.
+        seed: of all that is random; the same seed, machine and number of cores give the same bits.
+
+    Raises:
+        InputError: an option out of range.
+    """
+
+    epochs: int = 20
+    rate: float = 0.05
+    batch: int = 64
+    dropped: float = 0.3
+    spread: float = 1.0
+    disturbance: Disturbance = field(default_factory=Disturbance)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        possible = all(map(isfinite, (self.rate, self.dropped, self.spread)))
+        possible = possible and min(self.dropped, self.spread, self.seed) >= 0
+        if not (possible and self.rate > 0 and self.dropped < 1 and min(self.epochs, self.batch) >= 1):
+            raise InputError(
+                "expected epochs and batch >= 1, rate > 0, 0 <= dropped < 1, and spread and seed >= 0; got "
+                f"epochs {self.epochs}, batch {self.batch}, rate {self.rate}, dropped {self.dropped}, spread "
+                f"{self.spread}, seed {self.seed}"
+            )
+
+
+class Learned(NamedTuple):
+    """What is tuned of a cascade; see `Cascade` for shapes."""
+
+    weights: tuple[Array, ...]
+    biases: Array
+    directions: Array | None
+
+
+class Progressed(NamedTuple):
+    """How far fine-tuning has come: all that it needs to go on.
+
+    Attributes:
+        learned: as it is now.
+        optimiser: the optimiser's state.
+        best: as it was when the error on the faces to check was smallest.
+        errors: those errors, one an epoch, the first before any.
+    """
+
+    learned: Learned
+    optimiser: Any
+    best: Learned
+    errors: Float[Array, "epochs"]
+
+
+def finetune_cascade(
+    cascade: Cascade,
+    faces: TrainingSet,
+    check: TrainingSet | None,
+    spread: Spread,
+    tuning: Tuning,
+    *,
+    turn: float = 0.0,
+    progress: Progress = lambda stage, done, total: None,
+    keep: Callable[[Progressed], None] = lambda progressed: None,
+    resume: Callable[[Progressed], Progressed] = lambda begun: begun,
+) -> tuple[Cascade, Float[Array, "epochs"]]:
+    """Tune all regressors of a cascade together.
+
+    The loss is smooth L1 of the distances of landmarks from the true ones, in sides of the canonical face, after each
+    step, the later ones counting more; in 3D, of the distances in space, which pose and depth are part of.
+
+    Args:
+        cascade: a trained cascade.
+        faces: what to learn from; landmarks that are NaN do not count.
+        check: faces of other people, by whose errors the best epoch is chosen; None: the last is.
+        spread: of the Monte Carlo starts.
+        tuning: how.
+        turn: by how much starts are turned about the face, at most, in radians.
+        progress: called with the stage's name, what is done and what there is to do.
+        keep: called after each epoch with all that is needed to go on from there.
+        resume: is given what fine-tuning would begin with, and returns what it shall, as ``keep`` was given it.
+
+    Returns:
+        The cascade, and the mean distance of the landmarks from the true ones on the faces to check, in sides of the
+        canonical face, before and after each epoch; NaN if there are none.
+
+    Raises:
+        InputError: no faces, or no finite gradient in a whole epoch: fits run away.
+    """
+    count = len(faces.source)
+    if count == 0:
+        raise InputError("expected faces to learn from; got none")
+    batches = -(-count // tuning.batch)
+    optimiser = _optimiser(tuning, batches)
+    learned = Learned(cascade.weights, cascade.biases, cascade.directions)
+    depths = _depths(cascade, faces)
+    drawn = _Drawn(spread.sigmas * tuning.spread, jnp.float32(turn))
+    of_checked = None if check is None else _depths(cascade, check)
+    checked = partial(_checked, cascade, check, of_checked, drawn._replace(sigmas=spread.sigmas), tuning)
+    state = resume(Progressed(learned, optimiser.init(learned), learned, jnp.asarray([checked(learned)])))
+    done = len(state.errors) - 1
+    for epoch in range(done, tuning.epochs):
+        # Both are overwritten in place.
+        learned, of_optimiser = jax.tree.map(jnp.copy, (state.learned, state.optimiser))
+        of_epoch = random.fold_in(random.key(tuning.seed), epoch)
+        order = np.resize(np.asarray(random.permutation(of_epoch, count)), batches * tuning.batch)
+        for number in range(batches):
+            progress("fine-tuning", epoch * batches + number, tuning.epochs * batches)
+            rows = order[number * tuning.batch : (number + 1) * tuning.batch]
+            learned, of_optimiser = _updated(
+                cascade,
+                learned,
+                of_optimiser,
+                _batch_of(faces, depths, rows),
+                random.fold_in(of_epoch, number),
+                drawn,
+                _levels(cascade),
+                tuning,
+                batches,
+            )
+        if of_optimiser.notfinite_count >= batches:
+            raise InputError(
+                f"fine-tuning ran away, with no finite gradient in epoch {epoch + 1}; expected a rate below "
+                f"{tuning.rate}, a smaller spread, or a cascade that is trained better"
+            )
+        error = checked(learned)
+        best = learned if check is None or error <= jnp.nanmin(state.errors) else state.best
+        state = Progressed(learned, of_optimiser, best, jnp.append(state.errors, error))
+        keep(state)
+    progress("fine-tuning", tuning.epochs * batches, tuning.epochs * batches)
+    return _rounded(cascade, state.best), state.errors
+
+
+class _Drawn(NamedTuple):
+    """How starts are drawn: their standard deviations, and by how much they are turned at most, in radians."""
+
+    sigmas: Float[Array, "4"]
+    turn: Scalar
+
+
+class _Batch(NamedTuple):
+    """Faces of a `TrainingSet`: their own crops, and the depths (faces, landmarks) of 3D landmarks, NaN in 2D."""
+
+    crops: UInt8[Array, "faces height width"]
+    mirrored: Bool[Array, "faces"]
+    landmarks: Float[Array, "faces landmarks 2"]
+    pivots: Float[Array, "faces 2"]
+    depths: Float[Array, "faces landmarks"]
+
+
+def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray) -> _Batch:
+    return _Batch(
+        jnp.asarray(faces.crops[faces.source[rows]]),
+        jnp.asarray(faces.mirrored[rows]),
+        jnp.asarray(faces.landmarks[rows], jnp.float32),
+        jnp.asarray(faces.pivots[rows], jnp.float32),
+        jnp.asarray(depths[rows]),
+    )
+
+
+def _optimiser(tuning: Tuning, batches: int) -> optax.GradientTransformation:
+    steps = tuning.epochs * batches
+    rate = optax.warmup_cosine_decay_schedule(
+        _BEGIN * tuning.rate, tuning.rate, max(1, round(_WARM_UP * steps)), max(2, steps)
+    )
+    # A fit that runs away would take everything along: such a batch is left out.
+    return optax.apply_if_finite(optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate)), steps)
+
+
+def _sizes(cascade: Cascade) -> Learned:
+    """How large what is tuned is at first, by columns, as parameters, such as pixels and radians, differ in size."""
+
+    def size(values: Array, axis: int) -> Array:
+        return jnp.sqrt(jnp.mean(values**2, axis, keepdims=True))
+
+    directions = cascade.directions
+    landmarks = cascade.weights[0].shape[0] // cascade.descriptor.size
+    columns = [
+        weights if directions is None else jnp.matmul(weights, directions[step])
+        for step, weights in enumerate(cascade.weights)
+    ]
+    return Learned(
+        tuple(size(weights, 0) for weights in cascade.weights),
+        # What a step comes to, as a landmark's features have length 1.
+        jnp.sqrt(landmarks) * jnp.concatenate([size(each, 0) for each in columns]),
+        None if directions is None else size(directions, 1),
+    )
+
+
+def _loss(
+    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, key: Array, dropped: float
+) -> Scalar:
+    """The mean loss of a batch, with some landmarks hidden from each step."""
+    keys = random.split(key, len(cascade.weights))
+    seen = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
+    distances = _distances_of_steps(cascade, levels, batch, states, seen)
+    shares = _EARLIER ** jnp.arange(len(distances))[::-1]
+    return (
+        jnp.sum(shares * jnp.stack([_mean_known(optax.losses.huber_loss(e, delta=_BEND)) for e in distances])) / _BEND
+    )
+
+
+def _everything(step: int, features: Array) -> Array:
+    return features
+
+
+def _without_some(keys: Array, dropped: float, landmarks: int, step: int, features: Array) -> Array:
+    """The features of a step, 0 for landmarks that it does not see, and the others so much larger."""
+    of_landmarks = features.reshape(*features.shape[:2], landmarks, -1)
+    kept = random.bernoulli(keys[step], 1 - dropped, (*of_landmarks.shape[:3], 1))
+    return (of_landmarks * kept / (1 - dropped)).reshape(features.shape)
+
+
+def _features(
+    cascade: Cascade, prepared: Any, states: State, step: int, level: int
+) -> Float[Array, "faces starts features"]:
+    """What `features_of` gives, of one start a face, for gradients."""
+    descriptor, space = cascade.descriptor, cascade.space
+
+    # Looking again is several times faster than keeping what all faces' landmarks have seen.
+    @jax.checkpoint
+    def of_face(face: tuple[Any, State]) -> Float[Array, "landmarks features"]:
+        prepared, state = face
+        side = cascade.windows[step] * space.scale(state.params)
+
+        def of_point(point: Point) -> Features:
+            aim = descriptor.aim(prepared, level, point, side, state.angle)
+            return descriptor.normalise(descriptor.describe(prepared, level, aim, state.angle))
+
+        return vmap(of_point)(landmarks_of(space, state))
+
+    found = lax.map(of_face, (prepared, jax.tree.map(lambda part: part[:, 0], states)))
+    return found.reshape(len(found), 1, -1)
+
+
+def _distances_of_steps(
+    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, seen: Callable[[int, Array], Array]
+) -> list[Float[Array, "faces landmarks"]]:
+    """After each step, how far the landmarks are from the true ones, in sides of the canonical face; NaN if unknown.
+
+    ``levels`` are the descriptor's, one a step, ``states`` (faces, 1) the starts; ``seen`` is what a step sees of its
+    features.
+    """
+    descriptor, space = cascade.descriptor, cascade.space
+    prepared = vmap(descriptor.prepare)(batch.crops)
+    found = []
+    # Not a scan over the steps: in each, the gradient would be that of all steps' weights.
+    for step in range(len(cascade.weights)):
+        features = seen(step, _features(cascade, prepared, states, step, levels[step]))
+        directions = None if cascade.directions is None else cascade.directions[step]
+        regressor = Regressor(cascade.weights[step], cascade.biases[step], directions)
+        states = vmap(vmap(partial(advanced, descriptor, space)))(states, regressor.predict(features))
+        each = jax.tree.map(lambda part: part[:, 0], states)
+        found.append(vmap(partial(_distances, space))(each, batch.landmarks, batch.depths) / cascade.frame.face)
+    return found
+
+
+def _distances(space: Any, state: State, landmarks: Landmarks, depths: Float[Array, "landmarks"]) -> Array:
+    """Of one face's landmarks from the true ones, in pixels; in space if depths are known; NaN if unknown."""
+    known = jnp.isfinite(landmarks).all(1)
+    apart = landmarks_of(space, state) - jnp.where(known[:, None], landmarks, 0.0)
+    squares = jnp.sum(apart**2, 1)
+    if isinstance(space, ShapeSpace3D):
+        behind = space.landmarks_3d(state.params)[:, 2] - depths
+        squares = squares + jnp.where(jnp.isfinite(depths), behind, 0.0) ** 2
+    # Not at the root's vertex, where it has no derivative.
+    return jnp.where(known, jnp.sqrt(squares + 1e-6), jnp.nan)
+
+
+def _mean_known(values: Float[Array, "faces landmarks"]) -> Scalar:
+    known = jnp.isfinite(values)
+    return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(), 1)
+
+
+@partial(jax.jit, static_argnames=("levels", "tuning", "batches"), donate_argnames=("learned", "of_optimiser"))
+def _updated(
+    cascade: Cascade,
+    learned: Learned,
+    of_optimiser: Any,
+    batch: _Batch,
+    key: Array,
+    drawn: _Drawn,
+    levels: tuple[int, ...],
+    tuning: Tuning,
+    batches: int,
+) -> tuple[Learned, Any]:
+    """What is learned, and the optimiser's state, after one batch."""
+    of_pictures, of_starts, of_landmarks = random.split(key, 3)
+    batch = _disturbed(of_pictures, _upright(batch), tuning.disturbance, cascade.frame.middle)
+    states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, drawn)
+
+    def loss(learned: Learned) -> Scalar:
+        return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, tuning.dropped)
+
+    changes, of_optimiser = _optimiser(tuning, batches).update(jax.grad(loss)(learned), of_optimiser)
+    changes = jax.tree.map(jnp.multiply, changes, _sizes(cascade))
+    return optax.apply_updates(learned, changes), of_optimiser
+
+
+def _with(cascade: Cascade, learned: Learned) -> Cascade:
+    return replace(cascade, weights=learned.weights, biases=learned.biases, directions=learned.directions)
+
+
+def _levels(cascade: Cascade) -> tuple[int, ...]:
+    """At which of its resolutions the descriptor looks at each step."""
+    return tuple(int(cascade.descriptor.level(window)) for window in cascade.windows)
+
+
+def _upright(batch: _Batch) -> _Batch:
+    """With the crops of mirrored faces flipped."""
+    flipped = jnp.where(batch.mirrored[:, None, None], batch.crops[:, :, ::-1], batch.crops)
+    return batch._replace(crops=flipped)
+
+
+def _disturbed(key: Array, batch: _Batch, amounts: Disturbance, middle: float) -> _Batch:
+    def of_face(key: Array, face: _Batch) -> _Batch:
+        of_warp, of_picture = random.split(key)
+        warp = draw_warp(of_warp, amounts, jnp.full(2, middle))
+        scale = jnp.sqrt(jnp.linalg.det(warp.matrix))
+        return face._replace(
+            crops=_as_bytes(spoiled(of_picture, warp.picture(face.crops.astype(jnp.float32)), amounts)),
+            landmarks=warp.points(face.landmarks),
+            pivots=warp.points(face.pivots),
+            depths=face.depths / scale,
+        )
+
+    return vmap(of_face)(random.split(key, len(batch.crops)), batch)
+
+
+def _as_bytes(picture: Picture) -> Crop:
+    return jnp.clip(jnp.round(picture), 0, 255).astype(jnp.uint8)
+
+
+def _starts(cascade: Cascade, keys: Array, pivots: Array, drawn: _Drawn) -> State:
+    return draw_states(cascade.descriptor, cascade.space, keys, pivots, 1, cascade.frame, *drawn)
+
+
+@partial(jax.jit, static_argnames="levels")
+def _errors(
+    cascade: Cascade, batch: _Batch, key: Array, drawn: _Drawn, levels: tuple[int, ...]
+) -> Float[Array, "faces"]:
+    """The mean distance of each face's known landmarks from the true ones after the last step."""
+    batch = _upright(batch)
+    states = _starts(cascade, random.split(key, len(batch.crops)), batch.pivots, drawn)
+    return jnp.nanmean(_distances_of_steps(cascade, levels, batch, states, _everything)[-1], 1)
+
+
+def _checked(
+    cascade: Cascade,
+    faces: TrainingSet | None,
+    depths: np.ndarray | None,
+    drawn: _Drawn,
+    tuning: Tuning,
+    learned: Learned,
+) -> float:
+    """The mean error on faces, each from a start of its own, the same in each epoch; NaN if there are none."""
+    if faces is None or depths is None:
+        return float("nan")
+    count, errors = len(faces.source), []
+    size = min(_CHECKED_AT_ONCE, count)
+    for first in range(0, count, size):
+        rows = np.resize(np.arange(first, min(first + size, count)), size)
+        key = random.fold_in(random.key(tuning.seed), first)
+        batch = _batch_of(faces, depths, rows)
+        found = _errors(_with(cascade, learned), batch, key, drawn, _levels(cascade))
+        errors.append(np.asarray(found)[: count - first])
+    # A fit that is lost counts as a face's side: how far it went tells nothing.
+    return float(np.mean(np.minimum(np.nan_to_num(np.concatenate(errors), nan=1.0), 1.0)))
+
+
+@partial(jax.jit, static_argnames="batch_size")
+def _depths_of(space: ShapeSpace3D, landmarks: Float[Array, "faces landmarks 2"], batch_size: int) -> Array:
+    return lax.map(lambda face: space.landmarks_3d(space.encode(face))[:, 2], landmarks, batch_size=batch_size)
+
+
+def _depths(cascade: Cascade, faces: TrainingSet) -> np.ndarray:
+    """The depths (N, L) of the landmarks, in crop pixels, as the 3D shape model has them that is aligned to all of a
+    face's; NaN in 2D, and for faces of which not all are known."""
+    if not isinstance(cascade.space, ShapeSpace3D):
+        return np.full(faces.landmarks.shape[:2], np.nan, np.float32)
+    return np.asarray(_depths_of(cascade.space, jnp.asarray(faces.landmarks, jnp.float32), 64))
+
+
+def _rounded(cascade: Cascade, learned: Learned) -> Cascade:
+    """The cascade with what was learned, rounded to what model files store, so that saving changes nothing."""
+    weights = tuple(each.astype(jnp.float16).astype(jnp.float32) for each in learned.weights)
+    return _with(cascade, learned._replace(weights=weights))

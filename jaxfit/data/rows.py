@@ -1,0 +1,99 @@
+"""Fitted faces as rows: nested plain values, as JSON lines have them, and flat ones, as tables have them."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import ANGLES
+
+# A face as plain JSON values: image, face, size, box, landmarks; confidence, if the model has one; and pose, scale,
+# landmarks_3d and b of 3D models. Lengths are in pixels of the picture.
+Row = dict[str, Any]
+
+PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
+TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of numbers
+HEAD = "head_"  # before the columns of heads, in tables that have both
+_BOX = ("x", "y", "width", "height")
+_DIGITS = 3  # after the point
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of all faces that one model fitted, in the order of their pictures; they can be iterated again and again.
+
+    Attributes:
+        scheme: what the landmarks mean.
+        modes: number of coefficients of the 3D shape model; None for models without 3D.
+        confident: whether the model has a confidence.
+        begin: starts an iteration.
+    """
+
+    scheme: Scheme
+    modes: int | None
+    confident: bool
+    begin: Callable[[], Iterator[Row]]
+
+    def __iter__(self) -> Iterator[Row]:
+        return self.begin()
+
+    def tables(self) -> dict[str, tuple[str, ...]]:
+        """The columns of each table, by the name of its file without a suffix."""
+        tables = {"landmarks": landmark_columns(self.scheme, self.confident)}
+        return tables if self.modes is None else tables | {"heads": head_columns(self.scheme, self.modes)}
+
+
+def rounded(values: np.ndarray | np.floating) -> Any:
+    """Numbers as they are written: floats, or lists of them, rounded to thousandths."""
+    return np.round(np.asarray(values, np.float64), _DIGITS).tolist()
+
+
+def landmark_columns(scheme: Scheme, confident: bool) -> tuple[str, ...]:
+    """The columns of ``landmarks.csv``."""
+    points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xy"]
+    return (*TEXTS[:3], *_BOX, *["confidence"] * confident, *points)
+
+
+def head_columns(scheme: Scheme, modes: int) -> tuple[str, ...]:
+    """The columns of ``heads.csv``."""
+    points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xyz"]
+    return (*TEXTS[:2], *ANGLES, "scale", *points, *(f"b{number}" for number in range(1, modes + 1)))
+
+
+def columns_of(scheme: Scheme, modes: int | None, confident: bool) -> tuple[str, ...]:
+    """The columns of both tables, those of heads, but the names, with ``head_`` before them."""
+    heads = () if modes is None else head_columns(scheme, modes)[2:]
+    return (*landmark_columns(scheme, confident), *(f"{HEAD}{name}" for name in heads))
+
+
+def flat_row(row: Row) -> dict[str, Any]:
+    """A row with the columns of `columns_of`."""
+    flat: dict[str, Any] = {"image": row["image"], "face": row.get("face", "")}
+    box = row.get("box", {})
+    flat |= {"box": box.get("kind", ""), **{name: box[name] for name in _BOX if name in box}}
+    if "confidence" in row:
+        flat["confidence"] = row["confidence"]
+    for number, (x, y) in enumerate(row.get("landmarks", ()), 1):
+        flat[f"x{number}"], flat[f"y{number}"] = x, y
+    if "pose" in row:
+        flat |= {f"{HEAD}{angle}": degrees for angle, degrees in row["pose"].items()}
+        flat[f"{HEAD}scale"] = row["scale"]
+        for number, (x, y, z) in enumerate(row["landmarks_3d"], 1):
+            flat[f"{HEAD}x{number}"], flat[f"{HEAD}y{number}"], flat[f"{HEAD}z{number}"] = x, y, z
+        flat |= {f"{HEAD}b{number}": value for number, value in enumerate(row["b"], 1)}
+    return flat
+
+
+def table_values(name: str, row: Row) -> list[str | float]:
+    """The values of a row in the table ``landmarks`` or ``heads``, in the order of its columns."""
+    if name == "landmarks":
+        box = row["box"]
+        confidence = [row["confidence"]] if "confidence" in row else []
+        return [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), *confidence] + list(
+            chain.from_iterable(row["landmarks"])
+        )
+    points = chain.from_iterable(row["landmarks_3d"])
+    return [row["image"], row["face"], *row["pose"].values(), row["scale"], *points, *row["b"]]

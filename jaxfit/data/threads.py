@@ -1,0 +1,61 @@
+"""Work done in threads, few pieces at a time, with results in the order of the work."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from itertools import chain, islice
+from typing import TypeVar
+
+_MOST_CORES = 8  # that are kept busy; each thread holds a picture
+T = TypeVar("T")
+
+_most_cores: ContextVar[int | None] = ContextVar("most_cores", default=None)
+
+
+def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None, None]:
+    """What pieces of work give, one after the other, while threads do the next ones.
+
+    A single piece is done in the caller's thread, as it would take long to wake another; so are all without threads.
+    Close the generator if no more is wanted: what has not begun is then not done.
+    """
+    pieces = iter(work)
+    first = list(islice(pieces, 2))
+    if threads == 0 or len(first) < 2:
+        yield from (piece() for piece in chain(first, pieces))
+        return
+    pool = ThreadPoolExecutor(threads)
+    waiting: deque[Future[T]] = deque()
+    try:
+        for piece in chain(first, pieces):
+            waiting.append(pool.submit(piece))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def reading_threads(count: int) -> int:
+    """How many threads read and cut ``count`` pictures or faces: one more than keep the cores busy, as they wait for one
+    another; none for a single one."""
+    return min(_MOST_CORES, cores()) + 1 if count > 1 else 0
+
+
+def cores() -> int:
+    """How many this process may use, or fewer within `at_most_cores`."""
+    there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(there, _most_cores.get() or there)
+
+
+@contextmanager
+def at_most_cores(count: int) -> Iterator[None]:
+    """Fit with threads for so many cores only, where other processes have the others."""
+    token = _most_cores.set(count)
+    try:
+        yield
+    finally:
+        _most_cores.reset(token)

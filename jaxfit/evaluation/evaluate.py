@@ -1,0 +1,377 @@
+"""Measuring a model on labelled faces: starting boxes, fits, errors; every face is accounted for."""
+
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxfit.cascade.model import first_steps
+from jaxfit.cascade.starts import Starts
+from jaxfit.data.boxes import bounding_square, box_centre, jitter
+from jaxfit.data.detectors import Detection, Detector, best_match
+from jaxfit.data.detectors.whole import KIND as WHOLE
+from jaxfit.data.pictures import Read, read_grey, read_image
+from jaxfit.errors import InputError
+from jaxfit.evaluation.errors import nmed
+from jaxfit.fitting.find import find_faces
+from jaxfit.fitting.fit import fits_of_sources, sources_of
+from jaxfit.fitting.fits import Fits, Problem
+from jaxfit.fitting.stream import Pipeline, Progress, batches_of, compile_batches
+from jaxfit.labels.aligned import with_depth
+from jaxfit.labels.records import FaceRecord
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import exchanged, gathered, require_same, share_of
+from jaxfit.schemes.conversions import convert, sources
+from jaxfit.schemes.normalisers import normaliser_length
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.pose_order import in_order
+
+_NO_BOX = np.full(4, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Fits of N labelled faces and their errors.
+
+    Attributes:
+        faces: the N faces.
+        fits: of each, a row; NaN where there is none.
+        scheme: what the landmarks mean in which errors are measured.
+        normaliser: what the errors are relative to: ``"outer"``, ``"pupil"`` or ``"box"``.
+        errors: (N,) NMED (Eq. 16); ``inf`` where there is no fit, NaN where the truth does not allow to measure.
+        errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
+            the errors are not measured on the model's own landmarks; None for 2D models.
+        seconds_per_face: reading, cropping and fitting, compiled, until the last process has its share; NaN if nothing
+            was fitted.
+    """
+
+    faces: tuple[FaceRecord, ...]
+    fits: Fits
+    scheme: Scheme
+    normaliser: str
+    errors: np.ndarray
+    errors_3d: np.ndarray | None = None
+    seconds_per_face: float = float("nan")
+
+    @property
+    def landmarks(self) -> np.ndarray:
+        """(N, L, 2) the fitted landmarks in the scheme that errors are measured in, in pixels; NaN without a fit."""
+        return convert(self.fits.landmarks, self.fits.scheme, self.scheme)
+
+    @property
+    def true_pose(self) -> np.ndarray:
+        """(N, 3) labelled roll, pitch and yaw in degrees, NaN where unknown; each face's in its own order."""
+        return np.array([[np.nan] * 3 if face.pose is None else face.pose for face in self.faces]).reshape(-1, 3)
+
+    @property
+    def ordered_pose(self) -> np.ndarray:
+        """(N, 3) the fits' poses in the orders of the labelled ones, to be compared with them; NaN for 2D models."""
+        poses = np.full((len(self.faces), 3), np.nan) if self.fits.pose is None else self.fits.pose
+        return in_order(poses, [face.pose_order for face in self.faces])
+
+    @classmethod
+    def join(cls, parts: Sequence["Evaluation"]) -> "Evaluation":
+        """Evaluations of one model on several sets of faces as one.
+
+        Raises:
+            InputError: no parts, or of different models.
+        """
+        fitted = np.array([part.fits.fitted.sum() for part in parts])
+        seconds = sum(count * part.seconds_per_face for count, part in zip(fitted, parts, strict=True) if count)
+        errors_3d = [part.errors_3d for part in parts if part.errors_3d is not None]
+        return replace(
+            parts[0],
+            faces=sum((part.faces for part in parts), ()),
+            fits=Fits.join([part.fits for part in parts]),
+            errors=np.concatenate([part.errors for part in parts]),
+            errors_3d=np.concatenate(errors_3d) if errors_3d else None,
+            seconds_per_face=float(seconds / fitted.sum()) if fitted.sum() else float("nan"),
+        )
+
+
+def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
+    """Boxes (N, 4) to start from: the true landmarks' bounding square, moved by N(0, 6 %) of its side in x and y and
+    scaled by exp(N(0, 8 %)).
+
+    A face gets the same box whatever other faces come with it. A face without any landmark gets its own box, as the
+    dataset has it, or NaN.
+
+    Raises:
+        InputError: a negative seed.
+    """
+    if seed < 0:
+        raise InputError(f"expected a seed of 0 or more; got {seed}")
+    boxes = []
+    for face in faces:
+        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
+        own = _NO_BOX if face.box is None else face.box
+        boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else own)
+    return np.array(boxes).reshape(-1, 4)
+
+
+def detected_boxes(
+    faces: Sequence[FaceRecord],
+    detector: str | Detector,
+    progress: Progress = lambda stage, done, total: None,
+) -> tuple[np.ndarray, list[str]]:
+    """The boxes (N, 4) in which a detector finds labelled faces, and their kinds; NaN, and squares, where it does not.
+
+    Processes that are joined share the pictures, as in `evaluate`.
+
+    Args:
+        faces: N labelled faces with landmarks.
+        detector: as in ``jaxfit.detect_faces``.
+        progress: called with the stage's name, pictures done and pictures in all.
+
+    Raises:
+        InputError: there is no such detector.
+    """
+    pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
+    names = list(pictures)
+    mine = share_of(names)
+    stored = partial(read_image, exif=False)  # what labels belong to
+    found = find_faces([names[number] for number in mine], detector, read=stored, progress=progress)
+    in_pictures: list[list[Detection]] = [[] for _ in pictures]
+    for part in exchanged([mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds]):
+        for picture, box, kind in zip(*part, strict=True):
+            in_pictures[picture].append(Detection(np.array(box), kind))
+    boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
+    for number, face in enumerate(faces):
+        if not face.present.any():
+            continue
+        candidates, truth = in_pictures[pictures[face.image]], bounding_square(face.landmarks)
+        whole = [candidate for candidate in candidates if candidate.kind == WHOLE]  # found wherever the face is
+        if match := next(iter(whole), None) or best_match(candidates, truth):
+            boxes[number], kinds[number] = match.box, match.kind
+    return boxes, kinds
+
+
+def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[np.ndarray]]) -> np.ndarray:
+    """Boxes (N, 4) from those given by picture name; each box goes to one face at most, the nearest pairs first.
+
+    NaN where none is left for a face: it counts as undetected.
+    """
+    boxes = np.tile(_NO_BOX, (len(faces), 1))
+    pictures: dict[Path, list[int]] = {}
+    for number, face in enumerate(faces):
+        pictures.setdefault(face.image, []).append(number)
+    for picture, numbers in pictures.items():
+        given = list(named.get(picture.name, []))
+        pairs = sorted((_distance(faces[n], box), n, k) for n in numbers for k, box in enumerate(given))
+        used: set[int] = set()
+        for _, number, k in pairs:
+            if k not in used and np.isnan(boxes[number]).all():
+                boxes[number] = given[k]
+                used.add(k)
+    return boxes
+
+
+def _distance(face: FaceRecord, box: np.ndarray) -> float:
+    if not face.present.any():
+        return 0.0
+    return float(np.hypot(*(box_centre(box) - box_centre(bounding_square(face.landmarks)))))
+
+
+def evaluate(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    *,
+    kind: str | Sequence[str] = SQUARE,
+    scheme: Scheme | None = None,
+    normaliser: str = "outer",
+    starts: Starts = Starts(),
+    passes: int = 1,
+    read: Read = read_grey,
+    progress: Progress = lambda stage, done, total: None,
+) -> Evaluation:
+    """Fit labelled faces from given boxes and measure the errors: `fit_labelled`, then `measure`.
+
+    Processes that are joined (``jaxfit.learning.join_processes``) share the pictures, and get the results of all.
+
+    Args:
+        model: the model.
+        faces: N labelled faces.
+        boxes: (N, 4) x, y, width, height in pixels; a NaN box is an undetected face: a failure.
+        kind: what drew the boxes, as in ``jaxfit.fit``: one for all, or N.
+        scheme: what the labels mean, if not what the model's landmarks do: fits are converted to it.
+        normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
+        starts: of each face, as in ``jaxfit.fit``.
+        passes: as in ``jaxfit.fit``.
+        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads. By default pictures are
+            read as they are stored, as labels mostly belong to stored pixels.
+        progress: called with the stage's name, faces done and faces in all.
+
+    Raises:
+        InputError: labels of another number of landmarks, a scheme that fits cannot be converted to, boxes of another
+            number, an unknown normaliser or kind, no passes, or processes that do not have the same.
+        ProcessError: another of the processes ended.
+    """
+    require_measurable(model.scheme, scheme or model.scheme, normaliser, faces)
+    pipeline = Pipeline(model, starts=starts, passes=passes, read=read)
+    fits, seconds = fit_labelled(pipeline, faces, boxes, kind=kind, progress=progress)
+    return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, seconds_per_face=seconds)
+
+
+def evaluate_steps(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    *,
+    normaliser: str = "outer",
+    read: Read = read_grey,
+    progress: Progress = lambda stage, done, total: None,
+) -> list[Evaluation]:
+    """What `evaluate` gives, with the same arguments, for the model's first step alone, for its first two, and so on."""
+    counts = range(1, len(model.cascade.weights) + 1)
+    models = [replace(model, cascade=first_steps(model.cascade, count), confidence=None) for count in counts]
+    return [evaluate(each, faces, boxes, normaliser=normaliser, read=read, progress=progress) for each in models]
+
+
+def require_measurable(own: Scheme, scheme: Scheme, normaliser: str, faces: Sequence[FaceRecord]) -> None:
+    """Check, before the work, that errors of fits can be measured.
+
+    Args:
+        own: what the fits' landmarks mean.
+        scheme: what the labels mean.
+        normaliser: what errors are relative to.
+        faces: the labelled faces.
+
+    Raises:
+        InputError: a scheme that fits cannot be converted to, an unknown normaliser, or labels of another number of
+            landmarks.
+    """
+    sources(own, scheme)
+    require_scheme(scheme, faces)
+    normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
+
+
+def fit_labelled(
+    pipeline: Pipeline,
+    faces: Sequence[FaceRecord],
+    boxes: np.ndarray,
+    *,
+    kind: str | Sequence[str] = SQUARE,
+    progress: Progress = lambda stage, done, total: None,
+) -> tuple[Fits, float]:
+    """The fits of labelled faces, a row each, and the seconds that a face took; joined processes share the pictures.
+
+    Args:
+        pipeline: how they are fitted, compiled before the time is taken.
+        faces: N labelled faces.
+        boxes: (N, 4) in pixels; NaN where there is none.
+        kind: what drew the boxes: one for all, or N.
+        progress: called with the stage's name, faces done and faces in all.
+
+    Raises:
+        InputError: boxes of another number, an unknown kind, or processes that do not have the same.
+        ProcessError: another of the processes ended.
+    """
+    model, boxes = pipeline.model, np.asarray(boxes, np.float64)
+    if boxes.shape != (len(faces), 4):
+        raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
+    kinds = [kind] * len(faces) if isinstance(kind, str) else list(kind)
+    if len(kinds) != len(faces):
+        raise InputError(f"expected one kind of box, or one for each of {len(faces)} faces; got {len(kinds)}")
+    for each in {*kinds}:
+        model.placement(each)
+    require_same(model.cascade, model.aligned, model.scheme.name, [face.face for face in faces], boxes)
+    boxed = np.isfinite(boxes).all(1)
+    mine = share_of([face.image for face in faces])
+    if own := int(boxed[mine].sum()):
+        progress("compiling (cached for later runs)", 0, len(faces))
+        compile_batches(pipeline, list(dict.fromkeys(batches_of(own))))
+    begin = time.perf_counter()
+    sources_ = sources_of(model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine])
+    fits = fits_of_sources(pipeline, sources_, progress)
+    seconds = max(exchanged(time.perf_counter() - begin))
+    return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan")
+
+
+def _of_all(fits: Fits, mine: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
+    """The fits of all processes, of which this one made those of the faces numbered ``mine``."""
+    if len(mine) == len(faces):
+        return fits
+    told = [[int(mine[problem.picture]), problem.why] for problem in fits.problems]
+    problems = sorted((row, why) for part in exchanged(told) for row, why in part)
+    whole: dict[str, Any] = {name: gathered(values, mine, len(faces)) for name, values in fits.arrays.items()}
+    return replace(
+        fits,
+        names=tuple(str(face.image) for face in faces),
+        sizes=gathered(fits.sizes, mine, len(faces)),
+        kinds=tuple(kinds),
+        problems=tuple(Problem(row, str(faces[row].image), why, row) for row, why in problems),
+        **whole | {"pictures": np.arange(len(faces))},
+    )
+
+
+def measure(
+    fits: Fits,
+    faces: Sequence[FaceRecord],
+    *,
+    scheme: Scheme | None = None,
+    normaliser: str = "outer",
+    model: Model | None = None,
+    seconds_per_face: float = float("nan"),
+) -> Evaluation:
+    """The errors of fits of labelled faces.
+
+    Args:
+        fits: a row for each of N faces.
+        faces: the N labelled faces.
+        scheme: what the labels mean; None: what the fits' landmarks do.
+        normaliser: as in `evaluate`.
+        model: what made the fits: its 3D shapes give the labels their depths. None: nothing is measured in 3D.
+        seconds_per_face: that fitting took.
+
+    Raises:
+        InputError: another number of faces, labels of another number of landmarks, a scheme that fits cannot be
+            converted to, or an unknown normaliser.
+    """
+    scheme = scheme or fits.scheme
+    require_measurable(fits.scheme, scheme, normaliser, faces)
+    if len(fits) != len(faces):
+        raise InputError(f"expected a fit for each of {len(faces)} faces; got {len(fits)}")
+    unknown = np.full((scheme.count, 2), np.nan)
+    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
+    truth = truth.reshape(-1, scheme.count, 2)
+    errors_3d = None
+    if fits.landmarks_3d is not None:
+        found = convert(fits.landmarks_3d, fits.scheme, scheme)
+        errors_3d = nmed(found, _truth_3d(model, scheme, truth), scheme, normaliser)
+    return Evaluation(
+        faces=tuple(faces),
+        fits=fits,
+        scheme=scheme,
+        normaliser=normaliser,
+        errors=nmed(convert(fits.landmarks, fits.scheme, scheme), truth, scheme, normaliser),
+        errors_3d=errors_3d,
+        seconds_per_face=seconds_per_face,
+    )
+
+
+def _truth_3d(model: Model | None, scheme: Scheme, truth: np.ndarray) -> np.ndarray:
+    """The labels (N, L, 3) with depths; NaN where they are none of the 3D shape, or too few to give it depth."""
+    if model is None or model.space_3d is None or scheme != model.scheme:
+        return np.full((*truth.shape[:2], 3), np.nan)
+    return with_depth(truth, model.space_3d.model)
+
+
+def require_scheme(scheme: Scheme, faces: Sequence[FaceRecord]) -> None:
+    """Check that faces are labelled with as many landmarks as a scheme has, or with none at all.
+
+    Raises:
+        InputError: they are not.
+    """
+    for face in faces:
+        if len(face.landmarks) not in (0, scheme.count):
+            raise InputError(
+                f"the model finds {scheme.count} landmarks ({scheme.name}), but {face.image} is labelled "
+                f"with {len(face.landmarks)}; convert both to a scheme they share (--scheme), if there is one, or "
+                "train a model on faces labelled like these"
+            )

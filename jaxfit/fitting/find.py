@@ -1,0 +1,74 @@
+"""Finding the faces of many pictures, in threads, without fitting them."""
+
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.pictures import Images, Read, require_several
+from jaxfit.data.threads import in_order, reading_threads
+from jaxfit.fitting.fit import name_of
+from jaxfit.fitting.fits import Problem
+from jaxfit.fitting.stream import Progress, Seen, Source, see
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The faces found in pictures, in their order.
+
+    Attributes:
+        pictures: (N,) int, the number of each face's picture.
+        boxes: (N, 4) x, y, width, height, in pixels of the picture.
+        kinds: what drew each box.
+        problems: of pictures without a face.
+    """
+
+    pictures: np.ndarray
+    boxes: np.ndarray
+    kinds: tuple[str, ...]
+    problems: tuple[Problem, ...]
+
+
+def find_faces(
+    images: Images,
+    detector: str | Detector = DEFAULT_DETECTOR,
+    *,
+    read: Read | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> Found:
+    """Look for faces in N pictures; one that cannot be used does not stop the others.
+
+    Args:
+        images: N pictures, as in ``jaxfit.fit``.
+        detector: as in ``jaxfit.detect_faces``; its boxes must be of finite numbers.
+        read: makes an array of a file, in threads; by default pictures are turned upright as their EXIF data say.
+        progress: called with the stage's name, pictures done and pictures in all.
+
+    Raises:
+        InputError: there is no such detector, or one picture comes instead of a sequence.
+    """
+    require_several(images)
+    finder = detector_named(detector) if isinstance(detector, str) else detector
+    sources = [Source(image, name_of(image)) for image in images]
+
+    def found_in(source: Source) -> Seen:
+        return see(source, finder, read)._replace(picture=None)
+
+    seen: list[Seen] = []
+    progress("finding faces", 0, len(sources))
+    with closing(in_order((partial(found_in, source) for source in sources), reading_threads(len(sources)))) as each:
+        for one in each:
+            seen.append(one)
+            progress("finding faces", len(seen), len(sources))
+    return Found(
+        pictures=np.repeat(np.arange(len(seen)), [len(one.boxes) for one in seen]),
+        boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in seen)]),
+        kinds=tuple(kind for one in seen for kind in one.kinds),
+        problems=tuple(
+            Problem(number, source.name, one.why)
+            for number, (source, one) in enumerate(zip(sources, seen, strict=True))
+            if one.why
+        ),
+    )

@@ -1,0 +1,152 @@
+"""Fitting pictures: files or arrays in, landmarks out."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from jaxfit.cascade.starts import Starts
+from jaxfit.data.boxes import box_array
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.pictures import Image, Images, Read, require_several
+from jaxfit.errors import InputError
+from jaxfit.fitting.fits import Fits
+from jaxfit.fitting.stream import Pipeline, Progress, Source, batch_sizes, compile_batches, stream
+from jaxfit.models.model import SQUARE, Model
+
+
+def fit(
+    model: Model,
+    images: Images,
+    boxes: ArrayLike | None = None,
+    *,
+    kind: str | Sequence[str] = SQUARE,
+    detector: str | Detector | None = None,
+    starts: Starts = Starts(),
+    passes: int | None = None,
+    read: Read | None = None,
+    progress: Progress = lambda stage, done, total: None,
+) -> Fits:
+    """Find the landmarks of faces, and their 3D shapes and poses if the model knows of them.
+
+    Without boxes, faces are looked for, and all that are found in a picture are fitted. With boxes, N of them for N
+    pictures, there is a fit for each box. A picture or box that cannot be used, or a picture without a face, does not
+    stop the others: ``problems`` says what was wrong with it.
+
+    Several faces are computed in threads, which take JAX's default device from the caller, but nothing else that
+    context managers of JAX set.
+
+    Args:
+        model: from ``jaxfit.load``.
+        images: pictures: their files, which are read while others are fitted, the bytes of such files, or uint8 arrays
+            of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; for boxes of several faces in one picture give
+            it several times, one after the other.
+        boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
+        kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
+            that a model knows stand in ``model.known_placements``. One for all, or N of them.
+        detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default ``"haar"``.
+        starts: how many starts each face has; several are worth their time where faces may be turned in the picture and
+            the model was trained for it.
+        passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
+            up for rough boxes. By default once from given boxes, and as suits the detector from found ones.
+        read: makes an array of a file, or of its bytes, in threads; by default, pictures are turned upright as their
+            EXIF data say.
+        progress: called with the stage's name, what is done and what there is to do.
+
+    Raises:
+        InputError: ``boxes`` is not (N, 4), ``kind`` or ``detector`` is unknown or not asked for, or there are no
+            passes.
+    """
+    require_several(images)
+    if boxes is None:
+        return _fit_found(model, images, kind, detector, starts, passes, read, progress)
+    if detector is not None:
+        raise InputError("expected boxes or a detector that finds them; got both")
+    pipeline = Pipeline(model, starts=starts, passes=1 if passes is None else passes, read=read)
+    sources = sources_of(model, images, boxes, kind)
+    return fits_of_sources(pipeline, sources, progress)
+
+
+def _fit_found(
+    model: Model,
+    images: Images,
+    kind: str | Sequence[str],
+    detector: str | Detector | None,
+    starts: Starts,
+    passes: int | None,
+    read: Read | None,
+    progress: Progress,
+) -> Fits:
+    if kind != SQUARE:
+        raise InputError(
+            f"expected boxes of the kind {kind!r}; without boxes, the detector says of what kind its own are"
+        )
+    finder = detector_named(detector or DEFAULT_DETECTOR) if isinstance(detector, str | None) else detector
+    pipeline = Pipeline(model, finder, starts, passes_from(finder) if passes is None else passes, read)
+    sources = [Source(image, name_of(image)) for image in images]
+    (fits,) = stream(pipeline, [sources], len(sources), progress)
+    return fits
+
+
+def sources_of(model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str]) -> list[Source]:
+    """Pictures with a box each, as in `fit`; the same picture several times in a row becomes one source.
+
+    Raises:
+        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
+    """
+    count = len(images)
+    kinds = (kind,) * count if isinstance(kind, str) else tuple(kind)
+    if len(kinds) != count:
+        raise InputError(f"expected one kind of box, or one for each of {count} images; got {len(kinds)}")
+    for each in {*kinds}:
+        model.placement(each)
+    array = box_array(boxes, count)
+    given = list(images)  # held, so that no two have one id
+    identities = [str(image) if isinstance(image, str | Path) else id(image) for image in given]
+    sources = []
+    for _, numbers in groupby(range(count), identities.__getitem__):
+        rows = list(numbers)
+        image = given[rows[0]]
+        sources.append(Source(image, name_of(image), array[rows], tuple(kinds[row] for row in rows)))
+    return sources
+
+
+def fits_of_sources(pipeline: Pipeline, sources: Sequence[Source], progress: Progress) -> Fits:
+    """The fits of pictures that come with boxes: a row for each box, as if it had come with a picture of its own."""
+    (fits,) = stream(pipeline, [sources], len(sources), progress)
+    problems = [replace(problem, picture=problem.row) for problem in fits.problems if problem.row is not None]
+    return replace(
+        fits,
+        names=tuple(fits.names[number] for number in fits.pictures),
+        sizes=fits.sizes[fits.pictures],
+        pictures=np.arange(len(fits)),
+        problems=tuple(problems),
+    )
+
+
+def name_of(image: Image) -> str:
+    """What a picture is called in results: its file; empty for arrays and bytes."""
+    return str(image) if isinstance(image, str | Path) else ""
+
+
+def passes_from(detector: Detector) -> int:
+    """How often the cascade is run from the boxes of a detector, if nothing else is asked for."""
+    return 2 if detector.rough else 1
+
+
+def warm_up(model: Model, batches: Sequence[int] | None = None, starts: Starts = Starts(), passes: int = 1) -> None:
+    """Compile the model for the batch sizes that `fit` uses, all by default; the first fit is then as fast as the others.
+
+    Args:
+        model: what to compile.
+        batches: sizes of batches.
+        starts: those of `fit`.
+        passes: those of `fit`: 2 where it finds the faces by Haar.
+
+    Raises:
+        InputError: no passes.
+    """
+    compile_batches(Pipeline(model, starts=starts, passes=passes), batch_sizes() if batches is None else batches)

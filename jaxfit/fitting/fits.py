@@ -1,0 +1,245 @@
+"""The one result of fitting: what was found in pictures, which can be indexed, joined, compared and made into rows."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from jaxfit.data.rows import PROBLEM, Row, Rows, columns_of, flat_row, rounded
+from jaxfit.errors import InputError
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import ANGLES
+
+_OK = 0.5  # confidence from which a fit is rather good than not
+_OPTIONAL = ("landmarks_3d", "pose", "scale", "b", "confidence")  # in the order of the columns of tables
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Why a picture, or a face in it, has no fit.
+
+    Attributes:
+        picture: the number of the picture among those given.
+        name: what the picture is called; empty for arrays.
+        why: a sentence.
+        row: the number of the face among the fits; None: the picture has no face there.
+    """
+
+    picture: int
+    name: str
+    why: str
+    row: int | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.why}" if self.name else self.why
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fits:
+    """Fits of N faces in P pictures.
+
+    ``fits[mask]``, ``fits[3]`` and ``fits[2:5]`` are fits of some of the faces, iteration gives one face at a time, each
+    as `Fits` of length 1, and `Fits.join` puts several together. Pictures without a face have no row: they stand in
+    ``problems``.
+
+    Attributes:
+        scheme: what the landmarks mean.
+        names: what the P pictures are called: their files; empty for arrays.
+        sizes: (P, 2) width and height of the pictures, in pixels; 0 where a picture could not be read.
+        pictures: (N,) the number of each face's picture among those given.
+        boxes: (N, 4) x, y, width, height of the boxes that the fits started from, in pixels.
+        kinds: what drew each box.
+        landmarks: (N, L, 2) float64, x right, y down, in the pixels of each picture; NaN for faces that could not be
+            fitted.
+        problems: of pictures without a face, and of faces that could not be fitted.
+        landmarks_3d: (N, L, 3) the 3D shape in the pixels of each picture: x, y, and the depth away from the viewer,
+            0 at the mean face's centroid. None, like all below, for models without 3D.
+        pose: (N, 3) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
+        scale: (N,) s of Eq. 15, pixels of the picture per pixel of the canonical face.
+        b: (N, M) coefficients of the 3D shape model, ``model.space_3d.model``.
+        confidence: (N,) the probability, in [0, 1], that the fit is a good one, as ``jaxfit.learning.learn_confidence``
+            defines it; NaN for faces that could not be fitted, None for models without a confidence.
+    """
+
+    scheme: Scheme
+    names: tuple[str, ...]
+    sizes: np.ndarray
+    pictures: np.ndarray
+    boxes: np.ndarray
+    kinds: tuple[str, ...]
+    landmarks: np.ndarray
+    problems: tuple[Problem, ...] = ()
+    landmarks_3d: np.ndarray | None = None
+    pose: np.ndarray | None = None
+    scale: np.ndarray | None = None
+    b: np.ndarray | None = None
+    confidence: np.ndarray | None = None
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """(N,) bool: which faces were fitted, well or not."""
+        return np.isfinite(self.landmarks).all((1, 2))
+
+    @property
+    def ok(self) -> np.ndarray:
+        """(N,) bool: which faces were fitted, and rather well than not if the model has a confidence in its fits."""
+        return self.fitted if self.confidence is None else self.fitted & (self.confidence >= _OK)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The names of the columns of `to_dicts`."""
+        return columns_of(self.scheme, None if self.b is None else self.b.shape[1], self.confidence is not None)
+
+    def __len__(self) -> int:
+        return len(self.landmarks)
+
+    def __iter__(self) -> Iterator["Fits"]:
+        return (self[row] for row in range(len(self)))
+
+    def __getitem__(self, chosen: Any) -> "Fits":
+        """Some of the faces: by number, slice, mask (N,) or numbers, in their order. The pictures stay what they are;
+        problems are those of the chosen faces."""
+        rows = np.arange(len(self))[chosen].reshape(-1)
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(rows.tolist()):
+            places.setdefault(row, []).append(place)
+        kept = [
+            replace(problem, row=place)
+            for problem in self.problems
+            if problem.row is not None
+            for place in places.get(problem.row, [])
+        ]
+        return replace(
+            self,
+            kinds=tuple(self.kinds[row] for row in rows),
+            problems=tuple(kept),
+            **{name: values[rows] for name, values in self.arrays.items()},
+        )
+
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """All arrays with a row a face, by name; those that a model does not have are left out."""
+        names = ("pictures", "boxes", "landmarks", *_OPTIONAL)
+        return {name: values for name in names if (values := getattr(self, name)) is not None}
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Fits):
+            return NotImplemented
+        return all(_same(getattr(self, field.name), getattr(other, field.name)) for field in fields(self))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        parts = [f"{len(self)} faces in {len(self.names)} pictures", f"{self.scheme.count} landmarks"]
+        parts += ["3D"] * (self.landmarks_3d is not None)
+        parts += [] if self.confidence is None else [f"{int((self.fitted & ~self.ok).sum())} doubtful"]
+        parts += [f"{len(self.problems)} problems"] * bool(self.problems)
+        return f"<Fits: {', '.join(parts)}>"
+
+    @classmethod
+    def join(cls, parts: Sequence["Fits"]) -> "Fits":
+        """Fits of several sets of pictures as one; pictures and faces are numbered through.
+
+        Raises:
+            InputError: no parts, or fits of different models.
+        """
+        if not parts:
+            raise InputError("expected fits to join; got none")
+        if len({(part.scheme.name, tuple(part.arrays)) for part in parts}) > 1:
+            raise InputError("expected fits of one model to join; got several landmark schemes, or 2D and 3D")
+        pictures = np.cumsum([0, *(len(part.names) for part in parts)]).tolist()
+        rows = np.cumsum([0, *(len(part) for part in parts)]).tolist()
+        problems = [
+            replace(
+                problem,
+                picture=problem.picture + picture,
+                row=None if problem.row is None else problem.row + row,
+            )
+            for part, picture, row in zip(parts, pictures, rows, strict=False)
+            for problem in part.problems
+        ]
+        arrays: dict[str, Any] = {
+            name: np.concatenate([part.arrays[name] for part in parts]) for name in parts[0].arrays
+        }
+        shifts = np.repeat(pictures[:-1], [len(part) for part in parts])
+        arrays["pictures"] = arrays["pictures"] + shifts.astype(arrays["pictures"].dtype)
+        return replace(
+            parts[0],
+            names=sum((part.names for part in parts), ()),
+            sizes=np.concatenate([part.sizes for part in parts]),
+            kinds=sum((part.kinds for part in parts), ()),
+            problems=tuple(problems),
+            **arrays,
+        )
+
+    def rows(self, labels: Sequence[str] | None = None, problems: bool = False) -> Rows:
+        """The fitted faces as nested plain values, as ``faces.jsonl`` has them; numbers are rounded to thousandths.
+
+        Args:
+            labels: for each picture, what its faces are called after: ``LABEL_1``, ``LABEL_2``; None takes the names of
+                the pictures' files, without folders and suffixes.
+            problems: also give a row, with a ``problem``, for each face that could not be fitted and for each picture
+                without a face.
+        """
+        return Rows(
+            self.scheme,
+            None if self.b is None else self.b.shape[1],
+            self.confidence is not None,
+            lambda: (row for row in self._rows(labels) if problems or PROBLEM not in row),
+        )
+
+    def to_dicts(self, problems: bool = False) -> list[dict[str, Any]]:
+        """The fitted faces as flat dicts with the columns of ``landmarks.csv``, and for 3D models those of ``heads.csv``
+        with ``head_`` before their names: what ``pandas.DataFrame`` and ``polars.DataFrame`` take.
+
+        Args:
+            problems: also give a row for each face that could not be fitted and each picture without a face, with a
+                column ``problem``, which is empty for all others.
+        """
+        if not problems:
+            return [flat_row(row) for row in self.rows()]
+        return [dict.fromkeys(self.columns) | flat_row(row) | {PROBLEM: row.get(PROBLEM, "")} for row in self._rows()]
+
+    def _rows(self, labels: Sequence[str] | None = None) -> Iterator[Row]:
+        """A row for each face, and for each picture without one; those that were not fitted say why."""
+        why = {problem.row: problem.why for problem in self.problems if problem.row is not None}
+        faceless = [problem for problem in self.problems if problem.row is None]
+        entries: list[tuple[int, int, Any]] = [(int(picture), 0, row) for row, picture in enumerate(self.pictures)]
+        entries += [(problem.picture, 1, problem) for problem in faceless]
+        found: Counter[int] = Counter()
+        for picture, _, entry in sorted(entries, key=lambda entry: entry[:2]):
+            row: Row = {"image": self.names[picture]}
+            if isinstance(entry, Problem):
+                yield row | {PROBLEM: entry.why}
+                continue
+            found[picture] += 1
+            label = PurePath(self.names[picture]).stem if labels is None else labels[picture]
+            yield row | {"face": f"{label}_{found[picture]}"} | self._row(entry, picture, why.get(entry))
+
+    def _row(self, row: int, picture: int, problem: str | None) -> Row:
+        width, height = self.sizes[picture].tolist()
+        x, y, across, down = rounded(self.boxes[row])
+        told: Row = {
+            "size": {"width": width, "height": height},
+            "box": {"kind": self.kinds[row], "x": x, "y": y, "width": across, "height": down},
+        }
+        if problem is not None:
+            return told | {PROBLEM: problem}
+        told["landmarks"] = rounded(self.landmarks[row])
+        if self.confidence is not None:
+            told["confidence"] = rounded(self.confidence[row])
+        if self.pose is not None and self.scale is not None and self.landmarks_3d is not None and self.b is not None:
+            told["pose"] = dict(zip(ANGLES, rounded(self.pose[row]), strict=True))
+            told["scale"] = rounded(self.scale[row])
+            told["landmarks_3d"] = rounded(self.landmarks_3d[row])
+            told["b"] = rounded(self.b[row])
+        return told
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return np.array_equal(one, other, equal_nan=one.dtype.kind == "f" == other.dtype.kind)
+    return type(one) is type(other) and bool(one == other)

@@ -1,0 +1,84 @@
+"""Several fits of the same faces made one, such as from several detectors' boxes, or from boxes moved a little."""
+
+from collections.abc import Callable, Sequence
+
+import jax
+import numpy as np
+from jax import numpy as jnp
+
+from jaxfit.cascade.fit import centroid
+from jaxfit.errors import InputError
+from jaxfit.fitting.fits import Fits
+
+_SURE = 1.0001  # so that the odds of 1 are finite
+_DOUBT = 1e-9  # least weight of a fit, so that the weights of a face never sum to 0
+
+
+def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
+    """One set of landmarks for each face, from several fits of it.
+
+    Ways: ``"centroid"``, the fit nearest to all others (thesis 3.2.3, Eq. 12); ``"median"`` and ``"mean"`` of each
+    coordinate; and by what the model says of its fits, ``"confidence"`` and ``"odds"``, the means weighted by c and by
+    c / (1 - c), and ``"surest"``, the fit with the highest. docs/fusion.md compares them.
+
+    Args:
+        fits: of the same N faces in the same order, as `fit` gives them; faces that one of them did not fit are fused
+            from the others.
+        way: how.
+
+    Returns:
+        (N, L, 2) landmarks, in the pixels of each picture; NaN for faces that none has fitted.
+
+    Raises:
+        InputError: no fits, fits of other numbers of faces or landmarks, an unknown way, or one that needs a confidence
+            which the model does not have.
+    """
+    if way not in WAYS:
+        raise InputError(f"expected a way among {', '.join(WAYS)}; got {way!r}")
+    if len({each.landmarks.shape for each in fits}) != 1:
+        shapes = ", ".join(str(each.landmarks.shape) for each in fits)
+        raise InputError(f"expected fits of the same faces and landmarks, one or more; got {shapes or 'none'}")
+    told = [each.confidence for each in fits if each.confidence is not None]
+    if way in _TRUSTING and len(told) < len(fits):
+        raise InputError(f"expected fits with a confidence for the way {way!r}; median, centroid and mean need none")
+    landmarks = np.stack([each.landmarks for each in fits], 1)
+    confidence = np.stack(told, 1) if len(told) == len(fits) else np.zeros(landmarks.shape[:2])
+    fused = np.full(landmarks[:, 0].shape, np.nan)
+    some = np.isfinite(landmarks).all((2, 3)).any(1)
+    fused[some] = WAYS[way](landmarks[some], confidence[some])
+    return fused
+
+
+def _centroid(landmarks: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    return _chosen(landmarks, np.asarray(jax.vmap(centroid)(jnp.asarray(landmarks, jnp.float32))))
+
+
+def _surest(landmarks: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    return _chosen(landmarks, np.where(_fitted(landmarks), confidence, -1.0).argmax(1))
+
+
+def _weighted(landmarks: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    known = _fitted(landmarks)
+    weights = np.where(known, np.nan_to_num(weights) + _DOUBT, 0.0)
+    shares = weights / weights.sum(1, keepdims=True)
+    return np.einsum("ns,nslc->nlc", shares, np.where(known[..., None, None], landmarks, 0.0))
+
+
+def _chosen(landmarks: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    return landmarks[np.arange(len(landmarks)), numbers]
+
+
+def _fitted(landmarks: np.ndarray) -> np.ndarray:
+    return np.isfinite(landmarks).all((2, 3))
+
+
+# Of landmarks (N, fits, L, 2), some fit of each face finite, and confidences (N, fits): landmarks (N, L, 2).
+WAYS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "centroid": _centroid,
+    "median": lambda landmarks, confidence: np.nanmedian(landmarks, 1),
+    "mean": lambda landmarks, confidence: np.nanmean(landmarks, 1),
+    "confidence": _weighted,
+    "odds": lambda landmarks, confidence: _weighted(landmarks, confidence / (_SURE - confidence)),
+    "surest": _surest,
+}
+_TRUSTING = ("confidence", "odds", "surest")

@@ -1,0 +1,392 @@
+"""Faces through videos: the landmarks of one frame start the fit of the next, and people keep their numbers."""
+
+import warnings
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from jaxfit.data.boxes import bounding_square, box_centre
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, detector_named
+from jaxfit.data.detectors.detector import holds, overlap
+from jaxfit.data.pictures import to_eight_bits, to_grey
+from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
+from jaxfit.errors import ImageError, InputError
+from jaxfit.fitting.fit import fit
+from jaxfit.fitting.fits import Fits
+from jaxfit.fitting.one_euro import OneEuro, Smoothed
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.shapes.pose_order import wrapped_degrees
+
+# Confidence that makes a face, and that keeps it; so many frames in a row it may fall below that.
+_BORN, _KEPT, _WEAK_FRAMES = 0.5, 0.3, 3
+# Where models have no confidence: a face that the detector misses so many times in a row, or more often than it had
+# found it before, is none.
+_MISSED_DETECTIONS = 4
+_SEARCH_EVERY = 3  # frames, while nobody is in view or somebody was lost
+_GROWTH = 1.5  # factor by which a face's square grows or shrinks at most, from frame to frame or while lost
+_STEP = 0.5  # sides that it moves at most, from frame to frame
+_INSIDE = 0.5  # share of the landmarks that must lie in the picture
+_SAME = 0.4  # overlap of squares from which two fits are of one face
+_FOUND_AGAIN = 2.0  # seconds for which a lost face keeps its number,
+_NEAR = 1.0  # if it comes back within so many sides
+_CUT_SIDE = 32  # pixels of the small copy of a frame,
+_CUT = 30.0  # and their mean change, in grey levels, from which there is a cut between two frames
+_RADIAN = 57.3  # degrees; a turn of the head by so much moves its points by about its size
+
+
+@dataclass(frozen=True, eq=False)
+class TrackedFrame:
+    """A frame and its faces.
+
+    Attributes:
+        number: of the frame, from 0.
+        seconds: since the first frame.
+        picture: the frame, as it came: from files and cameras uint8 (H, W, 3) RGB.
+        faces: the N faces, smoothed if asked for; their boxes are the squares around the landmarks.
+        ids: (N,) whose they are, in rising order; an id is never used again for somebody else.
+        ages: (N,) frames since each person was first found, 1 in the first.
+        problem: why the frame could not be used; empty if it could.
+    """
+
+    number: int
+    seconds: float
+    picture: np.ndarray
+    faces: Fits
+    ids: np.ndarray
+    ages: np.ndarray
+    problem: str = ""
+
+
+def track(
+    model: Model,
+    frames: str | Path | int | Video | Iterable[np.ndarray],
+    *,
+    detector: str | Detector = DEFAULT_DETECTOR,
+    redetect_every: int = 10,
+    smoothing: OneEuro | None = None,
+    frame_rate: float = DEFAULT_FRAME_RATE,
+) -> Iterator[TrackedFrame]:
+    """Find the faces of a video's frames, one after the other, and keep track of who is who.
+
+    A frame that cannot be used has no faces and a ``problem``, and does not stop the others. Of a file that was cut
+    short what is there is tracked; then comes a warning.
+
+    Args:
+        model: from ``jaxfit.load``.
+        frames: a video file, the number of a camera, a `jaxfit.Video`, or frames: uint8 arrays, (H, W) grey or
+            (H, W, 3) RGB.
+        detector: as in `Tracker`, like the two below.
+        redetect_every: in frames.
+        smoothing: ``jaxfit.OneEuro()``, or None.
+        frame_rate: frames a second, if they come as arrays; files and cameras know the time.
+
+    Raises:
+        InputError: as `Tracker`, the video cannot be opened, or the frame rate is not positive.
+    """
+    if not frame_rate > 0:
+        raise InputError(f"expected a frame rate above 0 a second; got {frame_rate}")
+    if isinstance(frames, np.ndarray) and frames.ndim < 3:
+        raise InputError(f"expected several frames; got one array {frames.shape}: put it in a list")
+    tracker = Tracker(model, detector, redetect_every=redetect_every, smoothing=smoothing)
+    # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
+    opened = Video(frames) if isinstance(frames, str | Path | int) else frames
+    return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
+
+
+def _tracked(
+    tracker: "Tracker", frames: Video | Iterable[np.ndarray], owned: bool, frame_rate: float
+) -> Iterator[TrackedFrame]:
+    with ExitStack() as stack:
+        numbered: Iterable[VideoFrame]
+        if isinstance(frames, Video):
+            numbered = frames
+            if owned:
+                stack.enter_context(frames)
+        else:
+            numbered = (VideoFrame(number, number / frame_rate, frame) for number, frame in enumerate(frames))
+        for frame in numbered:
+            try:
+                yield replace(tracker.update(frame.picture, frame.seconds), number=frame.number)
+            except ImageError as error:
+                yield replace(tracker.without_faces(*frame), problem=f"frame {frame.number}: {error}")
+        if isinstance(frames, Video) and owned and frames.problem:
+            warnings.warn(frames.problem, stacklevel=2)
+
+
+class _Face(NamedTuple):
+    """A face in a frame: whose it is, for how many frames, and its fit, alone."""
+
+    id: int
+    age: int
+    fits: Fits
+
+
+class _Square(NamedTuple):
+    """Where a face was: a square (4,) and when."""
+
+    box: np.ndarray
+    seconds: float
+
+
+@dataclass(eq=False)
+class _Track:
+    """A person in view.
+
+    Attributes:
+        id: never used again.
+        born: number of the frame in which it was first found.
+        last: where it was when it was last seen well.
+        before: and before that.
+        weak: frames in a row without confidence.
+        seen: runs of the detector that found it.
+        missed: runs in a row, since, that did not.
+        smoothed: of the 2D landmarks, the 3D ones and the pose, by name.
+    """
+
+    id: int
+    born: int
+    last: _Square
+    before: _Square | None = None
+    weak: int = 0
+    seen: int = 1
+    missed: int = 0
+    smoothed: dict[str, Smoothed] = field(default_factory=dict)
+
+    def expected(self, seconds: float) -> np.ndarray:
+        """The square (4,) where it should be, if it goes on moving as it did."""
+        if self.before is None:
+            return self.last.box
+        share = min(1.0, (seconds - self.last.seconds) / (self.last.seconds - self.before.seconds))
+        move = box_centre(self.last.box) - box_centre(self.before.box)
+        return self.last.box + np.concatenate([share * move, [0, 0]])
+
+
+class Tracker:
+    """Several people through a video, frame by frame.
+
+    The faces of a frame are fitted together, from where they were in the frame before. The detector looks for more when
+    nobody is in view, when somebody was lost, and every few frames. A face is lost when its fit diverges, jumps, leaves
+    the picture or is no longer sure; one that comes back to its place within two seconds has its number again. After a
+    cut, everybody is somebody else.
+
+    Args:
+        model: from ``jaxfit.load``.
+        detector: as in ``jaxfit.detect_faces``.
+        redetect_every: frames from one look for new faces to the next.
+        smoothing: of the landmarks and the pose that come out, or None; it has no part in the fits.
+
+    Raises:
+        InputError: there is no such detector, the model does not know how faces lie in its boxes, or
+            ``redetect_every`` is not positive.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        detector: str | Detector = DEFAULT_DETECTOR,
+        *,
+        redetect_every: int = 10,
+        smoothing: OneEuro | None = None,
+    ):
+        if redetect_every < 1:
+            raise InputError(f"expected redetect_every of 1 frame or more; got {redetect_every}")
+        self.model = model
+        self.smoothing = smoothing
+        self.redetect_every = redetect_every
+        self._detect = detector_named(detector) if isinstance(detector, str) else detector
+        for kind in self._detect.kinds:
+            model.placement(kind)
+        self._tracks: list[_Track] = []  # oldest first
+        self._lost: list[_Track] = []  # not longer ago than they may come back
+        self._people = 0
+        self._frames = 0
+        self._looked = -redetect_every  # frame in which the detector looked last
+        self._seconds: float | None = None
+        self._small: np.ndarray | None = None
+
+    @property
+    def people(self) -> int:
+        """How many people there were until now: the ids are 1, 2, … ``people``."""
+        return self._people
+
+    def without_faces(self, number: int, seconds: float, picture: np.ndarray) -> TrackedFrame:
+        """A frame in which nobody is seen."""
+        nobody = np.empty(0, int)
+        return TrackedFrame(number, seconds, picture, fit(self.model, [], []), nobody, nobody)
+
+    def update(self, frame: np.ndarray, seconds: float | None = None) -> TrackedFrame:
+        """The next frame and its faces.
+
+        Args:
+            frame: uint8 (H, W) grey or (H, W, 3) RGB.
+            seconds: when it was taken; None is a thirtieth of a second after the frame before.
+
+        Raises:
+            ImageError: it is no such picture; the tracker then is as it was.
+            InputError: it was not taken after the frame before.
+        """
+        picture = to_eight_bits(frame)
+        seconds = self._time(seconds)
+        number, self._frames, self._seconds = self._frames, self._frames + 1, seconds
+        if self._cut(picture):
+            self._tracks, self._lost, self._looked = [], [], number - self.redetect_every
+        faces = self._follow(picture, number, seconds)
+        self._lost = [track for track in self._lost if seconds - track.last.seconds <= _FOUND_AGAIN]
+        searching = bool(self._lost) or not self._tracks
+        if number - self._looked >= (min(_SEARCH_EVERY, self.redetect_every) if searching else self.redetect_every):
+            self._looked = number
+            faces += self._look(picture, number, seconds)
+        faces.sort(key=lambda face: face.id)
+        seen = self.without_faces(number, seconds, frame)
+        if not faces:
+            return seen
+        height, width = picture.shape[:2]
+        return replace(
+            seen,
+            faces=replace(
+                Fits.join([face.fits for face in faces]),
+                names=("",),
+                sizes=np.array([[width, height]]),
+                pictures=np.zeros(len(faces), int),
+            ),
+            ids=np.array([face.id for face in faces]),
+            ages=np.array([face.age for face in faces]),
+        )
+
+    def _time(self, seconds: float | None) -> float:
+        if seconds is None:
+            return 0.0 if self._seconds is None else self._seconds + 1 / DEFAULT_FRAME_RATE
+        if self._seconds is not None and not seconds > self._seconds:
+            raise InputError(f"expected a frame taken after {self._seconds} s; got one of {seconds} s")
+        return float(seconds)
+
+    def _cut(self, picture: np.ndarray) -> bool:
+        """Whether the film was cut before this frame; changes of the light alone are no cuts."""
+        small = cv2.resize(to_grey(picture), (_CUT_SIDE, _CUT_SIDE), interpolation=cv2.INTER_AREA).astype(np.float32)
+        small -= small.mean()
+        before, self._small = self._small, small
+        return before is not None and float(np.abs(small - before).mean()) > _CUT
+
+    def _follow(self, picture: np.ndarray, number: int, seconds: float) -> list[_Face]:
+        """The faces known from the frame before."""
+        tracks, self._tracks = self._tracks, []
+        starts = [track.expected(seconds) for track in tracks]
+        fits = fit(self.model, [picture] * len(tracks), starts)
+        faces = []
+        for row, (track, start) in enumerate(zip(tracks, starts, strict=True)):
+            square = _square_around(fits, row, picture)
+            if square is None or not _within_reach(square, start, _STEP):
+                self._lost.append(track)
+                continue
+            if self._taken(square):
+                continue  # by somebody who is known for longer
+            confidence = _confidence(fits, row)
+            if confidence is None and track.missed >= min(track.seen + 1, _MISSED_DETECTIONS):
+                self._lost.append(track)
+                continue
+            if confidence is not None and confidence < _KEPT:
+                track.weak += 1
+                (self._lost if track.weak > _WEAK_FRAMES else self._tracks).append(track)
+                continue
+            self._tracks.append(track)
+            faces.append(self._face(track, fits[row], square, number, seconds))
+        return faces
+
+    def _look(self, picture: np.ndarray, number: int, seconds: float) -> list[_Face]:
+        """The faces that the detector finds and nobody knew of."""
+        found = [(face, self._square_of(face)) for face in self._detect(picture)]
+        for track in self._tracks:
+            seen = any(_one_face(track.last.box, square) for _, square in found)
+            track.seen, track.missed = (track.seen + 1, 0) if seen else (track.seen, track.missed + 1)
+        new = [(face, sq) for face, sq in found if not any(_one_face(track.last.box, sq) for track in self._tracks)]
+        fits = fit(self.model, [picture] * len(new), [face.box for face, _ in new], kind=[face.kind for face, _ in new])
+        faces = []
+        for row, (_, start) in enumerate(new):
+            square, confidence = _square_around(fits, row, picture), _confidence(fits, row)
+            sure = confidence is None or confidence >= _BORN
+            if square is None or not sure or not _within_reach(square, start, _STEP) or self._taken(square):
+                continue
+            track = self._again(square, number, seconds)
+            self._tracks = sorted([*self._tracks, track], key=lambda track: track.id)
+            faces.append(self._face(track, fits[row], square, number, seconds))
+        return faces
+
+    def _again(self, square: np.ndarray, number: int, seconds: float) -> _Track:
+        """The lost track that was where a face is now, begun again; or the track of somebody new."""
+        near = [track for track in self._lost if _within_reach(square, track.last.box, _NEAR)]
+        if near:
+            track = max(near, key=lambda track: overlap(track.last.box, square))
+            self._lost.remove(track)
+            return _Track(track.id, track.born, _Square(square, seconds))
+        self._people += 1
+        return _Track(self._people, number, _Square(square, seconds))
+
+    def _taken(self, square: np.ndarray) -> bool:
+        """Whether somebody is known to be there."""
+        return any(overlap(track.last.box, square) > _SAME for track in self._tracks)
+
+    def _square_of(self, face: Detection) -> np.ndarray:
+        """The square (4,) around the landmarks that are to be expected of a detected face."""
+        centre, size = self.model.placement(face.kind).face_in(face.box)
+        in_squares = self.model.placement(SQUARE)
+        side = size / np.exp(in_squares.log_scale)
+        return np.array([*(centre - np.array(in_squares.shift) * side - side / 2), side, side])
+
+    def _face(self, track: _Track, fits: Fits, square: np.ndarray, number: int, seconds: float) -> _Face:
+        """A face that was found in this frame, which its track goes on from."""
+        if seconds > track.last.seconds:
+            track.before = track.last
+        track.last, track.weak = _Square(square, seconds), 0
+        smoothed: dict[str, Any] = {}
+        if self.smoothing is not None:
+            for name, size in {"landmarks": square[2], "landmarks_3d": square[2], "pose": _RADIAN}.items():
+                if name in fits.arrays:
+                    values = fits.arrays[name][0]
+                    smoothed[name] = _smoothed(self.smoothing, track, name, values, seconds, size)[None]
+        fits = replace(fits, **smoothed)
+        boxed = replace(fits, boxes=bounding_square(fits.landmarks[0])[None], kinds=(SQUARE,))
+        return _Face(track.id, number - track.born + 1, boxed)
+
+
+def _smoothed(how: OneEuro, track: _Track, name: str, values: np.ndarray, seconds: float, size: float) -> np.ndarray:
+    """What comes out of a track's filter of this name for new values."""
+    before = track.smoothed.get(name)
+    if before is None:
+        now = how.start(values, seconds)
+    else:
+        if name == "pose":  # angles: the shorter way round
+            values = before.measured + wrapped_degrees(values - before.measured)
+        now = how.follow(before, values, seconds, size)
+    track.smoothed[name] = now
+    return wrapped_degrees(now.points) if name == "pose" else now.points
+
+
+def _confidence(fits: Fits, row: int) -> float | None:
+    return None if fits.confidence is None else float(fits.confidence[row])
+
+
+def _square_around(fits: Fits, row: int, picture: np.ndarray) -> np.ndarray | None:
+    """The square (4,) around a face's landmarks; None if it was not fitted, or lies outside the picture."""
+    landmarks = fits.landmarks[row]
+    if not np.isfinite(landmarks).all():
+        return None
+    height, width = picture.shape[:2]
+    inside = ((landmarks >= 0) & (landmarks < [width, height])).all(1)
+    return bounding_square(landmarks) if inside.mean() >= _INSIDE else None
+
+
+def _within_reach(square: np.ndarray, other: np.ndarray, sides: float) -> bool:
+    """Whether squares (4,) may be of one face that moved by so many sides and grew or shrank a little."""
+    side = max(square[2], other[2])
+    moved = np.linalg.norm(box_centre(square) - box_centre(other))
+    return bool(moved <= sides * side and side <= _GROWTH * min(square[2], other[2]))
+
+
+def _one_face(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether a fit and a detection, squares (4,), are of the same face."""
+    return overlap(one, other) > _SAME or holds(one, box_centre(other)) or holds(other, box_centre(one))

@@ -1,0 +1,17 @@
+"""Labelled faces: records, the datasets that they are read from, and labels carried over from other schemes."""
+
+from jaxfit.labels.datasets import FORMATS, convert_dataset, read_dataset
+from jaxfit.labels.lifting import Lifted, fill_labels, lift_labels, share_labels
+from jaxfit.labels.records import Dataset, FaceRecord
+
+__all__ = [
+    "FORMATS",
+    "Dataset",
+    "FaceRecord",
+    "Lifted",
+    "convert_dataset",
+    "fill_labels",
+    "lift_labels",
+    "read_dataset",
+    "share_labels",
+]

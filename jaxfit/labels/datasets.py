@@ -1,0 +1,86 @@
+"""The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.errors import InputError
+from jaxfit.labels.importers.aflw import read_aflw
+from jaxfit.labels.importers.aflw2000 import read_aflw2000
+from jaxfit.labels.importers.lfpw import read_lfpw
+from jaxfit.labels.importers.pointing04 import read_pointing04
+from jaxfit.labels.importers.pts_folder import read_pts_folder
+from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.schemes.conversions import convert, sources
+from jaxfit.schemes.scheme import Scheme
+
+# A reader gets the path and returns the labelled faces, at least one of them with its picture, or raises DatasetError.
+FORMATS: dict[str, Callable[[Path], Dataset]] = {
+    "pts": read_pts_folder,
+    "pts0": partial(read_pts_folder, base=0),
+    "aflw": read_aflw,
+    "lfpw": read_lfpw,
+    "pointing04": read_pointing04,
+    "aflw2000": read_aflw2000,
+    "aflw2000-all": partial(read_aflw2000, most_degrees=math.inf),
+}
+
+
+def parse_spec(spec: str) -> tuple[str, float, str]:
+    """Of ``FORMAT:PATH`` or ``FORMAT+PIXELS:PATH``: the format, by how many pixels labels are moved, and the path.
+
+    Raises:
+        InputError: no path, or an unknown format.
+    """
+    name, _, path = spec.partition(":")
+    known = re.fullmatch(r"(.+?)([+-][0-9]*\.?[0-9]+)?", name)
+    if not known or known[1] not in FORMATS or not path:
+        raise InputError(f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}; got {spec!r}")
+    return known[1], float(known[2] or 0), path
+
+
+def read_dataset(spec: str) -> Dataset:
+    """The dataset that ``spec``, ``FORMAT:PATH``, names.
+
+    ``FORMAT+PIXELS:PATH`` moves the labels right and down by so many pixels when they are read, ``FORMAT-PIXELS:PATH``
+    left and up, so that datasets whose labels count pixels differently can be used together.
+
+    Raises:
+        InputError: no path, or an unknown format.
+        DatasetError: the dataset is missing, damaged, or has no face that can be used.
+    """
+    name, shift, path = parse_spec(spec)
+    found = FORMATS[name](Path(path))
+    moved = tuple(replace(face, landmarks=face.landmarks + shift) for face in found.faces) if shift else found.faces
+    return replace(found, faces=moved, spec=spec)
+
+
+def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:
+    """The dataset with its labels converted to ``scheme``; all else stays as it is.
+
+    A converted landmark is present, or visible, where all landmarks that it is made of are.
+
+    Raises:
+        InputError: labels of this kind cannot be converted to ``scheme``, or there are no landmarks to convert.
+    """
+    if not dataset.scheme.count:
+        raise InputError(f"{dataset.spec}: its faces have no landmarks that could be converted to {scheme.name}")
+    try:
+        made_of = [list(indices) for indices in sources(dataset.scheme, scheme)]
+    except InputError as error:
+        raise InputError(f"{dataset.spec}: {error}") from None
+
+    def converted(face: FaceRecord) -> FaceRecord:
+        return replace(
+            face,
+            landmarks=convert(face.landmarks, dataset.scheme, scheme),
+            present=np.array([face.present[indices].all() for indices in made_of]),
+            visible=np.array([face.visible[indices].all() for indices in made_of]),
+        )
+
+    return replace(dataset, scheme=scheme, faces=tuple(map(converted, dataset.faces)))

@@ -1,0 +1,1 @@
+"""Readers of labelled datasets, one a file; `jaxfit.labels.datasets.FORMATS` lists them by name."""

@@ -1,0 +1,81 @@
+"""Folders of iBUG's .pts annotations: one text file a face, beside a picture of the same stem."""
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.data.pictures import PICTURE_SUFFIXES
+from jaxfit.data.pts import check_base, read_pts
+from jaxfit.errors import DatasetError
+from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
+from jaxfit.schemes.known import scheme_of_count
+
+
+def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
+    """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
+
+    All faces have the number of points that most files have; files that cannot be used become problems. Points
+    ``nan nan`` are missing; a point at (0, 0) or (-1, -1) is a point.
+
+    Args:
+        folder: where the files are.
+        base: what the files call the first pixel: 1 as iBUG does, or 0.
+
+    Raises:
+        DatasetError: no such folder, nothing in it can be used, or no ``.pts`` has a picture.
+        InputError: ``base`` is neither 0 nor 1.
+    """
+    check_base(base)
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise DatasetError(f"{folder}: expected a folder of .pts files with their pictures, found none; check the path")
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    # Reversed, so that of several pictures of one stem the first by name stays.
+    pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in PICTURE_SUFFIXES}
+    found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
+    if not found:
+        told = f"; first problem: {problems[0]}" if problems else ""
+        expected = "expected .pts files, each with a picture of the same name beside it"
+        raise DatasetError(f"{folder}: {expected}, found none that can be used{told}")
+    count = Counter(len(landmarks) for landmarks in found.values()).most_common(1)[0][0]
+    problems += [
+        f"{path}: has {len(landmarks)} points, the folder's other faces have {count}"
+        for path, landmarks in found.items()
+        if len(landmarks) != count
+    ]
+    faces = tuple(
+        _record(pictures.get(path.stem, path.with_suffix(".jpg")), landmarks)
+        for path, landmarks in found.items()
+        if len(landmarks) == count
+    )
+    check_pictures(folder, faces)
+    spec = f"{'pts' if base == 1 else 'pts0'}:{folder}"
+    return Dataset(spec=spec, scheme=scheme_of_count(count), faces=faces, problems=tuple(problems))
+
+
+def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray], list[str]]:
+    found, problems = {}, []
+    for path in annotations:
+        try:
+            found[path] = read_pts(path, base)
+        except DatasetError as error:
+            problems.append(str(error))
+    return found, problems
+
+
+def _record(picture: Path, landmarks: np.ndarray) -> FaceRecord:
+    present = np.isfinite(landmarks).all(1)
+    # One or two trailing digits number the pictures of one subject; longer numbers are names (image_0001).
+    numbered = re.fullmatch(r"(.+)_[0-9]{1,2}", picture.stem)
+    return FaceRecord(
+        image=picture,
+        landmarks=landmarks,
+        present=present,
+        visible=present.copy(),
+        box=None,
+        pose=None,
+        subject=numbered[1] if numbered else picture.stem,
+        face=picture.stem,
+    )

@@ -1,0 +1,80 @@
+"""The one record type of all datasets: a face in a picture file, with what is known about it."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxfit.errors import DatasetError
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import PoseOrder
+
+
+@dataclass(frozen=True)
+class FaceRecord:
+    """One labelled face.
+
+    Attributes:
+        image: path of the picture; it need not exist, so that a labelled face without its picture still counts.
+        landmarks: (L, 2) float64, x right, y down, pixels, pixel centres at integers; NaN where unknown.
+        present: (L,) bool, False where a landmark has no annotation.
+        visible: (L,) bool, False where a landmark is hidden; all of ``present`` if the source does not say.
+        box: (4,) x, y, width, height in pixels as given by the dataset, or None.
+        pose: (3,) roll, pitch, yaw in degrees (pitch > 0 looks up, yaw > 0 turns the nose to image left, roll > 0 is
+            clockwise in the image), NaN for an angle that is not known, or None.
+        subject: pictures of the same subject are never split between training and testing.
+        face: identifies the face within its dataset: file stem, or the dataset's own number.
+        pose_order: what the angles of ``pose`` mean; the same head has other angles in another order.
+    """
+
+    image: Path
+    landmarks: np.ndarray
+    present: np.ndarray
+    visible: np.ndarray
+    box: np.ndarray | None
+    pose: np.ndarray | None
+    subject: str
+    face: str
+    pose_order: PoseOrder = "roll-pitch-yaw"
+
+    @property
+    def known(self) -> np.ndarray:
+        """(L,) bool: which landmarks are annotated; those that are NaN are not, whatever ``present`` says."""
+        return self.present & np.isfinite(self.landmarks).all(1)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every landmark is annotated; never true of a face that has none."""
+        return self.known.size > 0 and bool(self.known.all())
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Faces that share one landmark scheme.
+
+    Attributes:
+        spec: how the command line names it, ``FORMAT:PATH``.
+        scheme: what the landmarks mean.
+        faces: the records, in a fixed order.
+        problems: what could not be read, one sentence each: such labels are reported, never silently dropped.
+    """
+
+    spec: str
+    scheme: Scheme
+    faces: tuple[FaceRecord, ...]
+    problems: tuple[str, ...] = ()
+
+
+def check_pictures(source: Path, faces: Sequence[FaceRecord]) -> None:
+    """Refuse a dataset that came without its pictures.
+
+    Raises:
+        DatasetError: ``faces``, read from ``source``, are some, and the picture of none of them exists.
+    """
+    if faces and not any(os.path.isfile(face.image) for face in faces):
+        raise DatasetError(
+            f"{source}: expected pictures of the labelled faces, found none of {len(faces)}, such as "
+            f"{faces[0].image}; check the path"
+        )

@@ -1,0 +1,27 @@
+"""Learning models from labelled faces: greedy training, fine-tuning, choosing options, confidence, kinds of boxes."""
+
+from jaxfit.learning.choose import Choice, Chosen, choose_options
+from jaxfit.learning.confidence import SampledFits, learn_confidence, sample_fits
+from jaxfit.learning.finetune import Finetuned, finetune
+from jaxfit.learning.methods import METHODS, Method, Options
+from jaxfit.learning.placements import calibrate_boxes
+from jaxfit.learning.train import Trained, train
+from jaxfit.processes import join_processes
+
+__all__ = [
+    "METHODS",
+    "Choice",
+    "Chosen",
+    "Finetuned",
+    "Method",
+    "Options",
+    "SampledFits",
+    "Trained",
+    "calibrate_boxes",
+    "choose_options",
+    "finetune",
+    "join_processes",
+    "learn_confidence",
+    "sample_fits",
+    "train",
+]

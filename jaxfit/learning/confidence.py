@@ -1,0 +1,477 @@
+"""Teaching a model how far its fits can be trusted: fits from good and bad starts, of faces and of what is none.
+
+On the faces that a cascade was trained on its fits are too good to learn from. So cascades that were trained alike, on
+some of the people each, fit the others, and the confidence learns from those fits.
+"""
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import jax
+import numpy as np
+import scipy
+from jax import lax, random
+from jax import numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxfit.cascade.confidence import Clues, Confidence
+from jaxfit.cascade.fit import find_clues
+from jaxfit.cascade.greedy import Progress
+from jaxfit.cascade.regression import Projection, principal_axes
+from jaxfit.cascade.starts import Starts
+from jaxfit.data.boxes import bounding_square, box_centre, jitter
+from jaxfit.data.crops import Crops, cut
+from jaxfit.data.detectors.detector import overlap
+from jaxfit.data.pictures import GreyPictures
+from jaxfit.errors import ImageError, InputError
+from jaxfit.evaluation.curves import LIMIT
+from jaxfit.evaluation.errors import nmed
+from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.finetune import retuned
+from jaxfit.learning.methods import METHODS, Options
+from jaxfit.learning.prepare import SILENT
+from jaxfit.learning.train import train
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.processes import require_alone
+from jaxfit.schemes.scheme import mirrored
+
+# How fits may begin. Boxes like a detector's are what a confidence is mostly for.
+DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN = (
+    "detected",
+    "lost",
+    "elsewhere",
+    "part",
+    "upside down",
+    "pattern",
+)
+NO_FACES = (ELSEWHERE, PART, PATTERN)
+_OF_EACH_FACE = (DETECTED, DETECTED, DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN)
+
+_APART = 0.15  # overlap (IoU) with the face below which a box is elsewhere
+_TRIES = 50  # to find such a box: where a face fills its picture there is none
+_BATCH = 64
+_PASSES = (1, 2)  # of the cascade: the second moves less, however good it is
+_PCA_SAMPLES = 3072
+_MOST_AXES = 128
+_VARIANCE = 0.9
+_HIDDEN = 32
+# Of the network's training.
+_EPOCHS, _AT_ONCE, _RATE, _DECAY = 30, 256, 2e-3, 0.3
+
+_Read = Callable[[Path], np.ndarray]
+
+
+@dataclass(frozen=True)
+class SampledFits:
+    """N fits of labelled faces, and of what is no face.
+
+    Attributes:
+        errors: (N,) NMED over the outer eye corners; ``inf`` where there was no face at all.
+        starts: (N,) how each began: in a box ``"detected"``, as a detector might have drawn it, ``"lost"``, off by up
+            to half a face and a factor of 2, ``"elsewhere"`` in the picture, around a ``"part"`` of the face, or as
+            detected but ``"upside down"``, or on a ``"pattern"``.
+        faces: (N,) the number of each fit's face among those given.
+        passes: (N,) how often the cascade was run: each start is fitted in one pass, and again in two.
+        confidence: (N,) what the model says of each fit; NaN if it has no confidence.
+    """
+
+    errors: np.ndarray
+    starts: np.ndarray
+    faces: np.ndarray
+    passes: np.ndarray
+    confidence: np.ndarray
+
+    @property
+    def good(self) -> np.ndarray:
+        """(N,) bool: which fits are good."""
+        return self.errors < LIMIT
+
+
+def learn_confidence(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    *,
+    subjects: Sequence[str] | None = None,
+    folds: int = 3,
+    seed: int = 0,
+    head_model: str | Path | None = None,
+    read: _Read | None = None,
+    progress: Progress = SILENT,
+) -> Model:
+    """The model with a confidence: the probability that a fit is good, its NMED over the outer eye corners below 0.08.
+
+    Trains ``folds`` models as ``model`` says that it was trained, and fine-tuned, each without the people of its fold,
+    whom it then fits: that takes about as many times longer than training did.
+
+    Args:
+        model: what to teach; its confidence, if it has one, is replaced.
+        faces: labelled faces, best those that the model was trained on; those with missing landmarks take part in
+            fine-tuning alone.
+        subjects: who is seen on each of the faces, if not as they say themselves.
+        folds: how many models are trained.
+        seed: of folds, starts and the network.
+        head_model: the 3D head model that the model was trained with: needed where it is no bundled one, as model files do
+            not say where it lies.
+        read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
+        progress: called with a stage's name, what is done and what there is to do.
+
+    Raises:
+        InputError: labels of another number of landmarks, no eye corners, fewer people than folds, fits that are all
+            good or all bad, a model that does not say how it was trained, another head model, or several processes.
+        ModelError: no such head model.
+    """
+    require_alone("learning a confidence")
+    read = read or GreyPictures()
+    method, options = training_of(model, head_model)
+    people = [face.subject for face in faces] if subjects is None else list(subjects)
+    parts = split_by_subject(people, folds, seed)
+    projection: Projection | None = None
+    seen: list[_Seen] = []
+    for fold in range(folds):
+        told = partial(_told, progress, f"fold {fold + 1}/{folds}: ")
+        learned = [face for face, part in zip(faces, parts, strict=True) if part != fold]
+        tested = [face for face, part in zip(faces, parts, strict=True) if part == fold]
+        trained = train(learned, model.scheme, method=method, options=options, progress=told, read=read).model
+        trained = retuned(
+            trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=told, read=read
+        )
+        drawn = _drawn(trained, tested, seed, read, told)
+        # All folds see with the same descriptors: axes of the first will do for all.
+        projection = projection or _axes(trained, drawn, seed)
+        sampled, clues = _fitted(trained, drawn, _Project(projection), told)
+        seen.append(_Seen(clues, sampled.good, sampled.starts))
+    progress("learning how likely fits are good", 0, 1)
+    confidence = _learned(seen, projection, seed) if projection else None
+    progress("learning how likely fits are good", 1, 1)
+    return replace(model, confidence=confidence)
+
+
+def sample_fits(
+    model: Model,
+    faces: Sequence[FaceRecord],
+    *,
+    seed: int = 0,
+    read: _Read | None = None,
+    progress: Progress = SILENT,
+) -> SampledFits:
+    """Fits of labelled faces from good and bad starts, and of what is no face; what the model says of them, and how
+    good they are.
+
+    Args:
+        model: a model.
+        faces: labelled faces; those with missing landmarks, or whose pictures cannot be read, are left out.
+        seed: of the starts; a face has the same whatever other faces come with it.
+        read: as in `learn_confidence`, like the next.
+        progress: called with a stage's name, what is done and what there is to do.
+
+    Raises:
+        InputError: labels of another number of landmarks, or none that can be used.
+    """
+    confidence = model.confidence
+    drawn = _drawn(model, faces, seed, read or GreyPictures(), progress)
+    sampled, told = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
+    return replace(sampled, confidence=told.astype(np.float64))
+
+
+def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str, Options]:
+    """The method and the options that a model was trained with, but for the Haar detectors.
+
+    Args:
+        model: the model.
+        head_model: the 3D head model that it was trained with, if it was: a bundled one's name, or a file; None for the
+            bundled one that it names.
+
+    Raises:
+        InputError: it does not say how, or it was trained with another head model.
+    """
+    made: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in model.training.items()
+    }
+    if made.get("method") not in METHODS or "windows" not in made:
+        raise InputError(f"expected a model that says how it was trained, as jaxfit.train makes; got {model.training}")
+    known = {name: made[name] for name in Options().flat() if name in made}
+    if "head" in made:
+        given = Path(head_model or made["head"]).name
+        if given != made["head"] or (head_model is None and given not in bundled_head_models()):
+            got = "none was given" if head_model is None else f"got {head_model}"
+            raise InputError(f"expected the 3D head model {made['head']}, which the model was trained with; {got}")
+        known["head_model"] = str(head_model or given)
+    descriptor, frame = model.cascade.descriptor, model.cascade.frame
+    known |= {"starts": model.starts, "haar": False, "descriptor": descriptor, "frame": frame}
+    return made["method"], Options().but(**known)
+
+
+class _Drawn(NamedTuple):
+    """What N fits begin with: `SampledFits`, and the crops (N) and true landmarks (N, L, 2) in their pixels."""
+
+    crops: np.ndarray
+    truth: np.ndarray
+    starts: np.ndarray
+    faces: np.ndarray
+
+
+class _Seen(NamedTuple):
+    """The clues (N, …) of N fits, reduced to principal components and moves, which are good, and how each began."""
+
+    clues: np.ndarray
+    good: np.ndarray
+    starts: np.ndarray
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Project:
+    """Keeps clues as principal components of the features and the moves."""
+
+    projection: Projection
+
+    def __call__(self, clues: Clues) -> Array:
+        components = (clues.features - self.projection.mean) @ self.projection.axes
+        return jnp.concatenate([components, clues.moves])
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _Nothing:
+    """Of models without a confidence."""
+
+    def __call__(self, clues: Clues) -> Array:
+        return jnp.full((), jnp.nan)
+
+
+class _Features:
+    """Keeps the features alone; equal to all others of its kind, and static."""
+
+    def __call__(self, clues: Clues) -> Array:
+        return clues.features
+
+
+jax.tree_util.register_static(_Features)
+
+
+def _told(progress: Progress, before: str, stage: str, done: int, total: int) -> None:
+    progress(before + stage, done, total)
+
+
+def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: _Read, progress: Progress) -> _Drawn:
+    """Starts of each kind for all faces that are complete and can be read."""
+    if other := next((face for face in faces if len(face.landmarks) != model.scheme.count), None):
+        raise InputError(f"expected faces of {model.scheme.count} landmarks, as the model's; {other.image} has others")
+    frame, placement = model.cascade.frame, model.placement(SQUARE)
+    crops, truths, starts, numbers = [], [], [], []
+    crop = Crops.empty(1, frame)
+    for number, face in enumerate(faces):
+        progress("drawing starts", number, len(faces))
+        if not face.complete:
+            continue
+        try:
+            upright = read(face.image)
+        except ImageError:
+            continue
+        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
+        for start in _OF_EACH_FACE:
+            picture, points = upright, face.landmarks
+            height, width = picture.shape
+            if model.scheme.mirror is not None and rng.random() < 0.5:
+                picture, points = picture[:, ::-1], mirrored(points, width, model.scheme)
+            if start == UPSIDE_DOWN:
+                picture, points = picture[::-1, ::-1], np.array([width - 1, height - 1]) - points
+            if start == PATTERN:
+                pixels, points = _pattern(rng, frame.crop), np.full_like(points, np.nan)
+            else:
+                box = _box(start, bounding_square(points), picture.shape, rng)
+                if box is None:
+                    continue
+                cut(picture, *placement.face_in(box), crop, 0)
+                pixels, points = crop.pixels[0].copy(), crop.from_images(points[None])[0]
+            crops.append(pixels)
+            truths.append(points)
+            starts.append(start)
+            numbers.append(number)
+    progress("drawing starts", len(faces), len(faces))
+    if not crops:
+        raise InputError("expected a face with all landmarks and a picture that can be read; got none")
+    return _Drawn(np.stack(crops), np.stack(truths), np.array(starts), np.array(numbers))
+
+
+def _box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:
+    """A box (4,) of this kind, for a face in this square (4,) of a picture (H, W); None: there is none."""
+    if start in (DETECTED, UPSIDE_DOWN):
+        return jitter(square, rng, rng.uniform(0.06, 0.15), rng.uniform(0.08, 0.2))
+    side = square[2]
+    if start == LOST:
+        return _around(
+            box_centre(square) + side * rng.uniform(-0.5, 0.5, 2), side * np.exp(rng.uniform(-1, 1) * np.log(2))
+        )
+    if start == PART:
+        small = side * rng.uniform(0.15, 0.4)
+        return np.array([*(square[:2] + rng.uniform(0, side - small, 2)), small, small])
+    for _ in range(_TRIES):
+        box = _around(rng.uniform((0, 0), shape[1::-1]), side * np.exp(rng.uniform(np.log(0.4), np.log(1.5))))
+        if overlap(box, square) < _APART:
+            return box
+    return None
+
+
+def _around(centre: np.ndarray, side: float) -> np.ndarray:
+    return np.array([*(centre - side / 2), side, side])
+
+
+def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
+    """A picture (side, side), uint8, of nothing: plain, a slope, stripes, or noise, coarse or fine."""
+    y, x = np.mgrid[:side, :side] / side
+    angle = rng.uniform(0, 2 * np.pi)
+    along = x * np.cos(angle) + y * np.sin(angle)
+    kind = rng.choice(["plain", "slope", "stripes", "noise"])
+    picture: np.ndarray
+    if kind == "noise":
+        coarseness = side * np.exp(rng.uniform(np.log(0.002), np.log(0.15)))
+        picture = np.asarray(cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), coarseness), np.float64)
+    elif kind == "stripes":
+        picture = np.sin(2 * np.pi * (along * np.exp(rng.uniform(np.log(1), np.log(20))) + rng.random()))
+    else:
+        picture = along if kind == "slope" else np.zeros_like(x)
+    contrast = rng.uniform(10, 70) / max(float(picture.std()), 1e-6)
+    grain = rng.normal(0, rng.choice([0, 2, 8]), picture.shape)
+    return (rng.uniform(40, 210) + contrast * (picture - picture.mean()) + grain).clip(0, 255).astype(np.uint8)
+
+
+@partial(jax.jit, static_argnames="passes")
+def _tried(
+    model: tuple[Any, Any], crops: Array, turns: Array, passes: int
+) -> tuple[Float[Array, "faces landmarks 2"], Array]:
+    cascade, of_clues = model
+    landmarks, clues = find_clues(cascade, crops, turns, passes)
+    return landmarks, jax.vmap(of_clues)(clues)
+
+
+def _fitted(
+    model: Model, drawn: _Drawn, of_clues: Any, progress: Progress, often: Sequence[int] = _PASSES
+) -> tuple[SampledFits, np.ndarray]:
+    """Fits of what was drawn, in so many passes each, and what ``of_clues`` makes of each fit's clues; models that are
+    made for several starts fit from one and from several."""
+    kinds = [Starts()] if model.starts.count == 1 else [Starts(), model.starts]
+    turns = [starts.rotations for starts in kinds]
+    ways = [(turn, passes) for turn in turns for passes in often]
+    count = len(drawn.crops)
+    landmarks, made = [], []
+    for way in ways:
+        for first in range(0, count, _BATCH):
+            progress("fitting", first, count)
+            rows = np.minimum(np.arange(first, first + _BATCH), count - 1)
+            left = min(_BATCH, count - first)
+            found = _tried((model.cascade, of_clues), drawn.crops[rows], *way)
+            landmarks.append(np.asarray(found[0])[:left])
+            made.append(np.asarray(found[1])[:left])
+    progress("fitting", count, count)
+    truth, starts, faces = (np.concatenate([part] * len(ways)) for part in drawn[1:])
+    # Where there is no truth nothing can be measured: no face.
+    measured = nmed(np.concatenate(landmarks), truth, model.scheme)
+    errors = np.where(np.isnan(measured), np.inf, measured)
+    passes = np.repeat([passes for _, passes in ways], count)
+    return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(made)
+
+
+def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
+    """Principal axes of the descriptors of some fits."""
+    chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_PCA_SAMPLES]
+    some = _Drawn(*(part[chosen] for part in drawn))
+    _, features = _fitted(model, some, _Features(), SILENT, _PASSES[:1])
+    found = principal_axes(jnp.asarray(features[:_PCA_SAMPLES]), _VARIANCE)
+    return Projection(found.mean, found.axes[:, :_MOST_AXES])
+
+
+class _Network(NamedTuple):
+    """A network of one hidden layer."""
+
+    weights: Float[Array, "inputs hidden"]
+    biases: Float[Array, "hidden"]
+    output: Float[Array, "hidden"]
+    offset: Float[Array, ""]
+
+    def __call__(self, inputs: Float[Array, "*samples inputs"]) -> Float[Array, "*samples"]:
+        """Logits."""
+        return jnp.tanh(inputs @ self.weights + self.biases) @ self.output + self.offset
+
+
+def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confidence:
+    """The confidence learned from the fits of several folds: learned from all, and calibrated on those of detected
+    faces in each, by a network that learned from the others."""
+    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(seen)])
+    clues, good, starts = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    finite = np.isfinite(clues).all(1)  # what diverges is no fit
+    clues, good, starts, folds = clues[finite], good[finite], starts[finite], folds[finite]
+    detected = starts == DETECTED
+    if good[detected].all() or not good[detected].any():
+        raise InputError(
+            "expected good and bad fits to learn from: with errors (NMED over the outer eye corners) below and above "
+            f"{LIMIT}; of {detected.sum()} fits of faces {good[detected].sum()} are good; give more faces"
+        )
+    mean, deviation = clues.mean(0), clues.std(0) + 1e-6
+    inputs = ((clues - mean) / deviation).astype(np.float32)
+    logits = np.zeros(len(good))
+    for fold in range(len(seen)):
+        held_out = folds == fold
+        logits[held_out] = _trained(inputs[~held_out], good[~held_out], seed)(jnp.asarray(inputs[held_out]))
+    # What confidences are mostly asked for: among all fits, the easy ones would outvote the doubtful.
+    slope, shift = _platt(logits[detected], good[detected])
+    network = _trained(inputs, good, seed)
+    axes = projection.axes.shape[1]
+    weights = np.asarray(network.weights, np.float64) / deviation[:, None]
+    # Rounded to what model files store, so that saving changes nothing.
+    whole = (np.asarray(projection.axes, np.float64) @ weights[:axes]).astype(np.float16).astype(np.float64)
+    centred = np.asarray(projection.mean) @ whole + mean[:axes] @ weights[:axes] + mean[axes:] @ weights[axes:]
+    return Confidence(
+        seen=jnp.asarray(whole, jnp.float32),
+        moved=jnp.asarray(weights[axes:], jnp.float32),
+        biases=jnp.asarray(np.asarray(network.biases) - centred, jnp.float32),
+        output=jnp.asarray(slope * np.asarray(network.output), jnp.float32),
+        offset=jnp.asarray(slope * np.asarray(network.offset) + shift, jnp.float32),
+    )
+
+
+@partial(jax.jit, static_argnames="seed")
+def _trained(inputs: Float[Array, "samples inputs"], good: Array, seed: int) -> _Network:
+    """A network that learned to tell which samples are good."""
+    import optax  # not before: few learn, and all would wait for it
+
+    count = len(inputs)
+    at_once = min(_AT_ONCE, count)
+    steps = _EPOCHS * (count // at_once)
+    first, order = random.split(random.key(seed))
+    weights = random.normal(first, (inputs.shape[1], _HIDDEN)) / jnp.sqrt(inputs.shape[1])
+    network = _Network(weights, jnp.zeros(_HIDDEN), jnp.zeros(_HIDDEN), jnp.zeros(()))
+    optimiser = optax.adamw(optax.cosine_decay_schedule(_RATE, steps), weight_decay=_DECAY)
+
+    def loss(network: _Network, rows: Array) -> Array:
+        return optax.sigmoid_binary_cross_entropy(network(inputs[rows]), good[rows].astype(jnp.float32)).mean()
+
+    def step(state: tuple[_Network, Any], rows: Array) -> tuple[tuple[_Network, Any], None]:
+        network, moments = state
+        updates, moments = optimiser.update(jax.grad(loss)(network, rows), moments, network)
+        return (optax.apply_updates(network, updates), moments), None
+
+    def epoch(state: tuple[_Network, Any], key: Array) -> tuple[tuple[_Network, Any], None]:
+        rows = random.permutation(key, count)[: count // at_once * at_once]
+        return lax.scan(step, state, rows.reshape(-1, at_once))
+
+    (network, _), _ = lax.scan(epoch, (network, optimiser.init(network)), random.split(order, _EPOCHS))
+    return network
+
+
+def _platt(logits: np.ndarray, good: np.ndarray) -> tuple[float, float]:
+    """The slope and shift with which logits (N,) give the most likely probabilities (Platt)."""
+
+    def loss(parts: np.ndarray) -> float:
+        scaled = parts[0] * logits + parts[1]
+        return float(np.mean(np.logaddexp(0, scaled) - good * scaled))
+
+    slope, shift = scipy.optimize.minimize(loss, np.array([1.0, 0.0])).x
+    return float(slope), float(shift)

@@ -1,0 +1,238 @@
+"""Fitting a collection of pictures with Ray Data: Parquet parts, whole or not at all, and a manifest of pictures."""
+
+import hashlib
+import logging
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jaxfit
+from jaxfit.runs.workers import BatchFitter, plain
+from jaxfit.data.threads import cores
+from jaxfit.data.outputs import atomic_write, require_same_settings
+from jaxfit.fitting.stream import NO_FACE
+from jaxfit.errors import InputError, JaxfitError
+from jaxfit.models.files import BUNDLED, bundled, read_named
+
+_TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
+# Whatever its name says: unless it is 0, Ray listens on all of a Linux machine's addresses.
+_CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+
+
+def fit_collection(
+    pictures: Sequence[str | Path],
+    out: str | Path,
+    fitter: BatchFitter | None = None,
+    *,
+    workers: int | None = None,
+    gpus: float = 0.0,
+    part: int = 256,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> dict[str, int]:
+    """Find and fit the faces in a collection of pictures with workers of Ray Data; needs ``jaxfit[ray]``.
+
+    ``out/parts`` has a Parquet file for so many pictures each, with the columns of ``jaxfit.BatchFitter``, and
+    ``out/manifest.parquet`` a row a picture: ``image``, its ``outcome``, the number of ``faces`` that were fitted, and
+    the ``part`` that it is in. Each picture is in one part: parts are named after their pictures and are there whole or
+    not at all, so that what a worker was at when it died is begun again by another, and a run that was stopped, started
+    again, fits only pictures that are in no part. One run at a time may write to ``out``.
+
+    Ray is started on this machine, where it listens on the loopback device and reports no usage, and ended afterwards;
+    unless it runs already, as after ``ray.init("auto")`` on a cluster, whose machines then have to see the pictures,
+    the model and ``out`` under the same paths.
+
+    Args:
+        pictures: their files.
+        out: the folder of the results, made if needed.
+        fitter: how to fit; ``BatchFitter()`` unless told.
+        workers: how many processes; as many as there are cores for unless told.
+        gpus: that a worker takes, or which share of one.
+        part: pictures a part: what a killed worker loses at most.
+        progress: called with the stage's name, pictures done and pictures in all.
+
+    Returns:
+        How many pictures of the manifest have each outcome: ``fitted``, ``none`` where no face was found, ``problem``,
+        and ``missing``, which are in no part because their workers died again and again; they are tried again when the
+        run is started once more.
+
+    Raises:
+        InputError: Ray is not installed, or imported but not started, ``out`` holds results of other settings, or an
+            argument is out of range.
+        JaxfitError: what stopped a worker, such as a model that does not know the detector's boxes or a full disk.
+    """
+    fitter = fitter or BatchFitter()
+    if part < 1 or (workers is not None and workers < 1) or gpus < 0:
+        raise InputError(f"expected at least 1 picture a part, 1 worker and 0 GPUs; got {part}, {workers} and {gpus}")
+    _require_ray()
+    # Workers do not stand in this folder.
+    wanted = list(dict.fromkeys(os.path.abspath(picture) for picture in pictures))
+    if str(fitter.model) not in bundled():
+        fitter = replace(fitter, model=os.path.abspath(fitter.model))
+    out = Path(out).absolute()
+    parts = out / "parts"
+    parts.mkdir(parents=True, exist_ok=True)
+    require_same_settings(out / "settings.json", _settings(fitter))
+    _sweep(parts)
+    known = {account.image for account in _accounts(parts)}
+    left = [name for name in wanted if plain(name) not in known]
+    if left:
+        done = len(wanted) - len(left)
+        progress("fitting pictures", done, len(wanted))
+        some = [left[first : first + part] for first in range(0, len(left), part)]
+        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as made:
+            for fitted, error in made:
+                if error:
+                    raise JaxfitError(error)
+                done += fitted
+                progress("fitting pictures", done, len(wanted))
+    _sweep(parts)
+    return _write_manifest(out / "manifest.parquet", parts, map(plain, wanted))
+
+
+def _require_ray() -> None:
+    """Check that Ray Data can be used.
+
+    Raises:
+        InputError: it is not installed, or was imported without being started.
+    """
+    if any(find_spec(name) is None for name in ("ray", "pyarrow")):
+        raise InputError('collections need Ray, which is not installed: pip install "jaxfit[ray]"')
+    # What keeps it to the loopback device is read when it is imported.
+    if "ray" in sys.modules and not sys.modules["ray"].is_initialized() and os.environ.get(_CLUSTER) != "0":
+        raise InputError("Ray was imported, but not started: call ray.init() first, or do not import it")
+
+
+def _settings(fitter: BatchFitter) -> dict[str, Any]:
+    """What has to be the same for a stopped run to go on."""
+    digest = hashlib.sha256(read_named(fitter.model, BUNDLED, "model")).hexdigest()[:16]
+    settings = {name: value for name, value in vars(fitter).items() if name != "cores"} | {"starts": vars(fitter.starts)}
+    return {"jaxfit": jaxfit.__version__, **settings, "model": str(fitter.model), "model file": digest}
+
+
+def _fit_parts(
+    parts: Sequence[Sequence[str]], fitter: BatchFitter, folder: Path, workers: int | None, gpus: float
+) -> Generator[tuple[int, str], None, None]:
+    """Have workers make the parts; of each, in any order, the number of its pictures, and what stopped it."""
+    with _ray((workers or max(1, cores() // fitter.cores)) * fitter.cores) as ray:
+        logging.getLogger("ray.data").setLevel(logging.ERROR)
+        there = int(ray.cluster_resources().get("CPU", 1)) // fitter.cores
+        context = ray.data.DataContext.get_current().copy()
+        context.enable_progress_bars = False
+        rows = [{"pictures": list(map(os.fsencode, part))} for part in parts]  # names need not be text
+        with ray.data.DataContext.current(context):
+            made = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
+                _PartFitter,
+                fn_constructor_args=(fitter, folder),
+                # One part at a time, so that a picture that kills its worker does not cost others their tries.
+                compute=ray.data.ActorPoolStrategy(
+                    size=min(len(parts), workers or max(1, there)), max_tasks_in_flight_per_actor=1
+                ),
+                num_cpus=fitter.cores,
+                num_gpus=gpus,
+            )
+            for row in made.iter_rows():
+                yield row["pictures"], row["error"]
+
+
+@contextmanager
+def _ray(cpus: int) -> Iterator[Any]:
+    """Ray, started here for so many cores if it does not run."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    os.environ.setdefault(_CLUSTER, "0")
+    import ray
+    import ray.data
+
+    if ray.is_initialized():
+        yield ray
+        return
+    ray.init("local", num_cpus=cpus, include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR)
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+class _PartFitter:
+    """What a worker does: fits the pictures of a part and writes it."""
+
+    def __init__(self, fitter: BatchFitter, folder: Path):
+        self._fitter, self._folder = fitter, folder
+
+    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
+        names = list(map(bytes, row["pictures"]))
+        digest = hashlib.sha256(b"\0".join(names)).hexdigest()[:32]
+        part = self._folder / f"{digest}.parquet"
+        try:
+            with (self._folder / f".{digest}.tries").open("ab") as tries:
+                tries.write(b".")
+                if tries.tell() > _TRIES:
+                    return {"pictures": 0, "error": ""}
+            if not part.exists():  # else its worker died after it had written it
+                _write_part(part, self._fitter, list(map(os.fsdecode, names)))
+        except (JaxfitError, OSError) as error:
+            return {"pictures": 0, "error": str(error)}
+        return {"pictures": len(names), "error": ""}
+
+
+def _write_part(path: Path, fitter: BatchFitter, pictures: Sequence[str]) -> None:
+    """Fit the pictures of a part and write it."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table(fitter({"image": pictures}))
+    with atomic_write(path) as file:
+        pq.write_table(table, file)
+
+
+def _sweep(parts: Path) -> None:
+    """Remove what workers that were killed left behind."""
+    for path in parts.glob(".*"):
+        path.unlink()
+
+
+class _Account(NamedTuple):
+    """The outcome of a picture: a row of the manifest."""
+
+    image: str
+    outcome: str
+    faces: int
+    part: str
+
+
+def _accounts(folder: Path) -> Iterator[_Account]:
+    """The outcomes of the pictures that are in parts."""
+    import pyarrow.parquet as pq
+
+    for path in sorted(folder.glob("[!.]*.parquet")):
+        problems: dict[str, list[str]] = {}
+        table = pq.ParquetFile(path).read(["image", "problem"])
+        for image, problem in zip(*(column.to_pylist() for column in table.columns), strict=True):
+            problems.setdefault(image, []).append(problem)
+        for image, why in problems.items():
+            faces = why.count("")
+            outcome = "fitted" if faces else "none" if why == [NO_FACE] else "problem"
+            yield _Account(image, outcome, faces, path.name)
+
+
+def _write_manifest(path: Path, parts: Path, wanted: Iterable[str]) -> dict[str, int]:
+    """Write the manifest; returns how many pictures have each outcome."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    accounts = list(_accounts(parts))
+    known = {account.image for account in accounts}
+    accounts += [_Account(image, "missing", 0, "") for image in wanted if image not in known]
+    accounts.sort()
+    columns = zip(*accounts, strict=True) if accounts else [()] * len(_Account._fields)
+    types = (pa.string(), pa.string(), pa.int32(), pa.string())
+    arrays = [pa.array(column, type_) for column, type_ in zip(columns, types, strict=True)]
+    with atomic_write(path) as file:
+        pq.write_table(pa.table(dict(zip(_Account._fields, arrays, strict=True))), file)
+    outcomes = Counter(account.outcome for account in accounts)
+    return {outcome: outcomes[outcome] for outcome in ("fitted", "none", "problem", "missing")}

@@ -1,0 +1,117 @@
+"""Fitting pictures batch by batch in workers of any kind: a process pool's, Ray's, Dask's or Spark's."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxfit.cascade.starts import Starts
+from jaxfit.compile_cache import keep_compiled_code
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.rows import PROBLEM, TEXTS
+from jaxfit.data.threads import at_most_cores
+from jaxfit.errors import InputError
+from jaxfit.fitting.fit import fit
+from jaxfit.fitting.fits import Fits
+from jaxfit.fitting.refine import refine
+from jaxfit.models.files import BUNDLED, DEFAULT_MODEL, load, read_named
+from jaxfit.models.model import Model
+
+
+@dataclass(frozen=True)
+class BatchFitter:
+    """Fits batches of pictures: columns in, columns out. It holds its settings only, so that it is small when it is sent
+    to workers; each process loads the model when its first batch comes, once.
+
+    Attributes:
+        model: a bundled model's name, or a model file that every worker can read.
+        detector: what finds the faces: its name, as in ``jaxfit.detect_faces``.
+        starts: as in ``jaxfit.fit``.
+        refine: refine 3D alignments, as ``jaxfit.refine`` does.
+        cores: that a worker's threads keep busy; with a worker for each core, 1.
+
+    Raises:
+        InputError: no such detector, or a number out of range.
+        ModelError: no such model.
+    """
+
+    model: str | Path = DEFAULT_MODEL
+    detector: str = DEFAULT_DETECTOR
+    starts: Starts = field(default_factory=Starts)
+    refine: bool = False
+    cores: int = 1
+
+    def __post_init__(self) -> None:
+        # Not the model's contents: who sends this to workers need not have JAX take a device.
+        read_named(self.model, BUNDLED, "model")
+        detector_named(self.detector)
+        if self.cores < 1:
+            raise InputError(f"expected at least one core for a worker; got {self.cores}")
+
+    def __call__(self, batch: Any) -> dict[str, np.ndarray]:
+        """Find and fit the faces in N pictures.
+
+        Args:
+            batch: columns by name, in a dict or a pandas data frame: ``image``, the pictures' files; or ``bytes``, what
+                is in such files, and ``image``, what they are called. Ray's ``path`` is as good a name as ``image``.
+
+        Returns:
+            Columns of equal lengths, a row a face, in the order of the pictures, and a row for each picture without a
+            face: those of `jaxfit fit`'s ``landmarks.parquet``, for 3D models those of ``heads.parquet`` with ``head_``
+            before their names, and ``problem``, which is empty for faces that were fitted and says of all others why
+            not. Words are objects, and empty where there is nothing to say; numbers are float32, and NaN.
+
+        Raises:
+            InputError: columns are missing, the model does not know the detector's boxes, or has nothing to refine.
+            ModelError: the model file is damaged.
+        """
+        names, pictures = _pictures(batch)
+        model, detector = _loaded(self.model, self.detector, self.cores)
+        with at_most_cores(self.cores):
+            fits = fit(
+                model,
+                pictures,
+                detector=detector,
+                starts=self.starts,
+            )
+            fits = refine(model, fits) if self.refine else fits
+        return _columns(fits, names)
+
+
+def _pictures(batch: Any) -> tuple[list[str], list[Path | bytes]]:
+    """What the pictures of a batch are called in tables, and their files or what is in those."""
+    if not ("image" in batch or "path" in batch):
+        raise InputError(f"expected a column of files, image or path; got {', '.join(map(str, batch)) or 'no column'}")
+    given = [str(name) for name in batch["image" if "image" in batch else "path"]]
+    names = list(map(plain, given))
+    if "bytes" not in batch:
+        return names, [Path(name) for name in given]
+    return names, [b"" if data is None else bytes(data) for data in batch["bytes"]]
+
+
+def plain(name: str) -> str:
+    """The name of a file as it stands in tables, which take text only."""
+    return name.encode("utf-8", "backslashreplace").decode()
+
+
+@cache
+def _loaded(model: str | Path, detector: str, cores: int) -> tuple[Model, Detector]:
+    """What a process needs, once."""
+    os.environ.setdefault("NPROC", str(cores))  # how many threads XLA starts, if it has not begun yet
+    keep_compiled_code()
+    return load(model), detector_named(detector)
+
+
+def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """What `BatchFitter` returns."""
+    rows = replace(fits, names=tuple(names)).to_dicts(problems=True)
+    return {
+        name: np.array([row[name] or "" for row in rows], object)
+        if name in TEXTS
+        else np.array([row[name] for row in rows], np.float32)
+        for name in (*fits.columns, PROBLEM)
+    }

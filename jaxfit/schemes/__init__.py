@@ -1,0 +1,19 @@
+"""What landmarks mean: how points are mirrored, drawn, normalised and converted from one labelling to another."""
+
+from jaxfit.schemes.conversions import convert
+from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW29, SCHEMES, scheme_named
+from jaxfit.schemes.normalisers import NORMALISERS
+from jaxfit.schemes.scheme import Scheme, mirrored
+
+__all__ = [
+    "AFLW21",
+    "IBUG68",
+    "LFPW27",
+    "LFPW29",
+    "NORMALISERS",
+    "SCHEMES",
+    "Scheme",
+    "convert",
+    "mirrored",
+    "scheme_named",
+]

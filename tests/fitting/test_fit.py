@@ -1,0 +1,278 @@
+"""``jaxfit.fit``: laws of a bundled model on the portrait that matplotlib ships, real pictures, drawn heads in 3D."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from drawn_heads import HEAD, rotation_of
+
+import jaxfit
+from jaxfit.data.boxes import bounding_square
+from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.fitting.stream import BATCHES
+from jaxfit.labels.records import FaceRecord
+
+KIND = "haar-frontal"
+
+
+@pytest.fixture(scope="module", params=["sdm68", "fast68"])
+def model(request: pytest.FixtureRequest) -> jaxfit.Model:
+    return jaxfit.load(request.param)
+
+
+@pytest.fixture(scope="module")
+def portrait() -> np.ndarray:
+    cbook = pytest.importorskip("matplotlib.cbook")
+    return jaxfit.read_image(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False))
+
+
+@pytest.fixture(scope="module")
+def box(portrait: np.ndarray) -> np.ndarray:
+    (face,) = jaxfit.detect_faces(portrait)
+    assert face.kind == KIND
+    return face.box
+
+
+@pytest.fixture(scope="module")
+def landmarks(model: jaxfit.Model, portrait: np.ndarray, box: np.ndarray) -> np.ndarray:
+    return jaxfit.fit(model, [portrait], [box], kind=KIND).landmarks[0]
+
+
+def apart(one: np.ndarray, other: np.ndarray, landmarks: np.ndarray) -> float:
+    """Mean distance of two fits, as a share of the distance of the outer eye corners."""
+    return float(np.linalg.norm(one - other, axis=1).mean() / np.linalg.norm(landmarks[36] - landmarks[45]))
+
+
+def test_the_portrait_is_fitted(landmarks: np.ndarray, box: np.ndarray) -> None:
+    eyes, nose, mouth, chin = landmarks[36:48], landmarks[27:36], landmarks[48:68], landmarks[8]
+    assert eyes[:, 1].max() < nose[4:, 1].min() < mouth[:, 1].min() < chin[1]
+    assert eyes[:6, 0].max() < nose[:, 0].mean() < eyes[6:, 0].min()
+    assert (landmarks > box[:2] - 0.3 * box[2:]).all()
+    assert (landmarks < box[:2] + 1.3 * box[2:]).all()
+
+
+@pytest.mark.parametrize(
+    "convert",
+    [
+        lambda rgb: cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY),
+        lambda rgb: cv2.cvtColor(rgb, cv2.COLOR_RGB2RGBA),
+        lambda rgb: rgb.astype(np.uint16) * 257,
+    ],
+    ids=["grey", "alpha", "16 bits"],
+)
+def test_all_kinds_of_pictures_give_one_fit(model, portrait, box, landmarks, convert) -> None:
+    fits = jaxfit.fit(model, [convert(portrait)], [box], kind=KIND)
+    np.testing.assert_allclose(fits.landmarks[0], landmarks, atol=1e-3)
+
+
+def test_a_moved_picture_moves_the_fit(model, portrait, box, landmarks) -> None:
+    # By whole blocks of 2 or 3 pixels, which become one where faces are large; they are counted from the corner.
+    moved = jaxfit.fit(model, [portrait[24:, 30:]], [box - [30, 24, 0, 0]], kind=KIND).landmarks[0]
+    np.testing.assert_allclose(moved + [30, 24], landmarks, atol=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_a_scaled_picture_scales_the_fit(model, portrait, box, landmarks, factor) -> None:
+    way = cv2.INTER_AREA if factor < 1 else cv2.INTER_LINEAR
+    scaled = cv2.resize(portrait, None, fx=factor, fy=factor, interpolation=way)
+    # Pixel centres are at integers: x becomes (x + 1/2) · factor - 1/2.
+    there = np.array([*((box[:2] + 0.5) * factor - 0.5), *(box[2:] * factor)])
+    fitted = (jaxfit.fit(model, [scaled], [there], kind=KIND).landmarks[0] + 0.5) / factor - 0.5
+    assert apart(fitted, landmarks, landmarks) < 0.02
+
+
+def test_any_number_of_faces_gives_what_one_at_a_time_gives(model, portrait, box, landmarks) -> None:
+    count = BATCHES[0] + BATCHES[1] + 2
+    boxes = box + np.linspace(-6, 6, count)[:, None] * [1, 1, 0, 0]
+    together = jaxfit.fit(model, [portrait] * count, boxes, kind=KIND).landmarks
+    for number in (0, BATCHES[0], count - 1):
+        alone = jaxfit.fit(model, [portrait], boxes[[number]], kind=KIND).landmarks[0]
+        # Not to the last digit: rounding may move a gradient from one orientation bin to the next.
+        assert apart(together[number], alone, landmarks) < 1e-3
+
+
+def test_no_faces_give_no_fits(model) -> None:
+    fits = jaxfit.fit(model, [], [])
+    assert len(fits) == 0
+    assert fits.landmarks.shape == (0, 68, 2)
+
+
+def test_bad_faces_do_not_stop_the_others(model, portrait, box, landmarks) -> None:
+    images = [portrait, portrait, portrait / 255.0, portrait[:0], portrait, portrait]
+    boxes = [box, [np.nan, 0, 9, 9], box, box, [9000, 0, 9, 9], [0, 0, 0, 9]]
+    fits = jaxfit.fit(model, images, boxes, kind=KIND)
+    assert fits.ok.tolist() == [True] + [False] * 5
+    assert apart(fits.landmarks[0], landmarks, landmarks) < 1e-3
+    assert set(fits.problems) == {1, 2, 3, 4, 5}
+    for number, words in {1: "finite", 2: "uint8", 3: "pixel", 4: "outside", 5: "no area"}.items():
+        assert words in fits.problems[number]
+
+
+def test_wrong_arguments_are_refused(model, portrait, box) -> None:
+    with pytest.raises(jaxfit.InputError, match=r"one box .* for each of 1 images"):
+        jaxfit.fit(model, [portrait], box)
+    with pytest.raises(jaxfit.InputError, match="put it in a list"):
+        jaxfit.fit(model, portrait, [box])
+    with pytest.raises(jaxfit.InputError, match="one for each of 1 images"):
+        jaxfit.fit(model, [portrait], [box], kind=[KIND, KIND])
+    with pytest.raises(jaxfit.InputError, match="knows boxes of the kinds"):
+        jaxfit.fit(model, [portrait], [box], kind="mine")
+
+
+def test_saved_and_loaded_models_fit_alike(model, portrait, box, landmarks, tmp_path: Path) -> None:
+    jaxfit.save(model, tmp_path / "copy.safetensors")
+    copy = jaxfit.load(tmp_path / "copy.safetensors")
+    fits = jaxfit.fit(copy, [portrait], [box], kind=KIND)
+    np.testing.assert_array_equal(fits.landmarks[0], landmarks)
+    assert fits.landmarks_3d is fits.pose is fits.scale is fits.b is None
+
+
+def test_several_starts_keep_the_centroid(model, portrait, box, landmarks) -> None:
+    crops, _ = jaxfit.crop_faces(model, [portrait], [box], kind=KIND)
+    rotations = jnp.array([-0.2, 0.0, 0.2])
+    fitted = crops.to_images(np.asarray(jaxfit.fit_crops(model.cascade, jnp.asarray(crops.pixels), rotations)))
+    assert apart(fitted[0], landmarks, landmarks) < 0.05
+
+
+@pytest.mark.parametrize("name", ["lfpw68", "helen68", "ytf68"])
+def test_real_faces_are_fitted_from_perturbed_squares(model, real_dataset: Callable, name: str) -> None:
+    # The model learned from these very faces: this guards the pipeline, it measures nothing.
+    faces = real_dataset(f"pts:{name}").faces[::40]
+    result = jaxfit.evaluate(model, faces, start_boxes(faces))
+    assert not result.problems
+    assert np.median(result.errors) < 0.06
+
+
+def test_real_faces_are_found_and_fitted(model, real_dataset: Callable) -> None:
+    faces = real_dataset("pts:lfpw68").faces[::40]
+    images = [jaxfit.read_image(face.image) for face in faces]
+    found = [jaxfit.detect_faces(image) for image in images]
+    # Pictures of several people: which of them is labelled is not the detector's to know.
+    single = [i for i in range(len(faces)) if len(found[i]) == 1]
+    assert len(single) > 0.6 * len(faces)
+    fits = jaxfit.fit(
+        model, [images[i] for i in single], [found[i][0].box for i in single], kind=[found[i][0].kind for i in single]
+    )
+    errors = [apart(fits.landmarks[k], faces[i].landmarks, faces[i].landmarks) for k, i in enumerate(single)]
+    assert np.median(errors) < 0.07
+
+
+PARTS = ("landmarks", "landmarks_3d", "pose", "scale", "b")
+both_methods = pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+
+
+def fit_heads(model: jaxfit.Model, faces: tuple[FaceRecord, ...], **options) -> jaxfit.Fits:
+    images = [jaxfit.read_image(face.image) for face in faces]
+    return jaxfit.fit(model, images, [bounding_square(face.landmarks) for face in faces], **options)
+
+
+@both_methods
+def test_a_head_is_the_shape_model_in_its_pose(head_models, heads, method) -> None:
+    model = head_models[method].solid.model
+    fits = fit_heads(head_models[method], heads[:4])
+    for number in range(4):
+        shape = np.asarray(model.mean + np.tensordot(fits.b[number], model.modes, 1))
+        seen = fits.scale[number] * rotation_of(fits.pose[number]).apply(shape)
+        place = fits.landmarks_3d[number] - seen
+        np.testing.assert_allclose(place, np.tile([*place[0, :2], 0], (21, 1)), atol=0.01)
+
+
+@both_methods
+def test_a_head_lies_on_its_landmarks(head_models, heads, method) -> None:
+    fits = fit_heads(head_models[method], heads[:4])
+    apart = np.linalg.norm(fits.landmarks_3d[..., :2] - fits.landmarks, axis=2)
+    if method == "regression3d":
+        assert apart.max() < 1e-3
+    else:
+        assert 0.01 < apart.mean() < 0.03 * np.ptp(fits.landmarks, 1).max()
+
+
+@both_methods
+def test_drawn_heads_are_found_as_they_were_drawn(head_models, heads, method) -> None:
+    turned = sorted(heads, key=lambda face: face.pose[2])
+    faces = tuple(turned[:3] + turned[-3:])
+    fits = fit_heads(head_models[method], faces)
+    truth = np.array([face.pose for face in faces])
+    assert np.median(np.abs(fits.pose - truth)[:, 2]) < 6
+    assert (np.sign(fits.pose[:, 2]) == np.sign(truth[:, 2])).all()
+    # As large as the picture has them: the mean heads of drawing and fitting are the same but for their unit.
+    sizes = np.array(
+        [np.ptp(face.landmarks[:, 1]) / np.ptp(rotation_of(face.pose).apply(HEAD)[:, 1]) for face in faces]
+    )
+    unit = np.ptp(HEAD[:, 1]) / np.ptp(head_models[method].solid.model.mean[:, 1])
+    np.testing.assert_allclose(fits.scale, sizes * unit, rtol=0.1)
+    depths = np.array(
+        [size * rotation_of(face.pose).apply(HEAD)[:, 2] for size, face in zip(sizes, faces, strict=True)]
+    )
+    assert np.median(np.abs(fits.landmarks_3d[..., 2] - depths)) < 0.05 * np.ptp(depths)
+
+
+@both_methods
+def test_a_picture_twice_as_large_makes_the_head_twice_as_large_and_deep(head_models, heads, method) -> None:
+    model, face = head_models[method], heads[0]
+    once = fit_heads(model, heads[:1])
+    large = cv2.resize(jaxfit.read_image(face.image), None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    # Pixel centres are at integers: x becomes (x + 1/2) · 2 - 1/2.
+    twice = jaxfit.fit(model, [large], [bounding_square(2 * face.landmarks + 0.5)])
+    np.testing.assert_allclose(twice.scale, 2 * once.scale, rtol=0.01)
+    np.testing.assert_allclose(twice.pose, once.pose, atol=1)
+    np.testing.assert_allclose(twice.b, once.b, atol=0.2)
+    np.testing.assert_allclose((twice.landmarks - 0.5) / 2, once.landmarks, atol=0.5)
+    there = (twice.landmarks_3d - [0.5, 0.5, 0]) / 2
+    np.testing.assert_allclose(there, once.landmarks_3d, atol=0.5)
+    assert np.ptp(once.landmarks_3d[0, :, 2]) > 20
+
+
+@both_methods
+def test_3d_models_come_back_from_their_file_as_they_were(head_models, heads, method, tmp_path: Path) -> None:
+    model = head_models[method]
+    jaxfit.save(model, tmp_path / "heads.safetensors")
+    copy = jaxfit.load(tmp_path / "heads.safetensors")
+    assert copy.training == model.training
+    assert (copy.training["method"], copy.training["head"]) == (method, "ict-facekit")
+    assert (copy.head is None) == (method == "regression3d")
+    one, other = fit_heads(model, heads[:3]), fit_heads(copy, heads[:3])
+    for part in PARTS:
+        np.testing.assert_array_equal(getattr(one, part), getattr(other, part), err_msg=part)
+
+
+@both_methods
+def test_bad_faces_have_no_heads(head_models, heads, method) -> None:
+    model, image, box = head_models[method], jaxfit.read_image(heads[0].image), bounding_square(heads[0].landmarks)
+    fits = jaxfit.fit(model, [image, image / 255.0, image, image], [box, box, [9000, 0, 9, 9], box])
+    for part in PARTS:
+        values = getattr(fits, part)
+        assert np.isfinite(values[[0, 3]]).all()
+        assert np.isnan(values[[1, 2]]).all()
+    assert set(fits.problems) == {1, 2}
+    away = replace(model, cascade=replace(model.cascade, biases=model.cascade.biases + np.inf))
+    lost = jaxfit.fit(away, [image], [box])
+    assert lost.problems == {0: "the fit diverged"}
+    assert all(np.isnan(getattr(lost, part)).all() for part in PARTS)
+
+
+@both_methods
+def test_no_faces_have_no_heads(head_models, method) -> None:
+    fits = jaxfit.fit(head_models[method], [], [])
+    modes = len(head_models[method].solid.model.deviations)
+    assert [getattr(fits, part).shape for part in PARTS] == [(0, 21, 2), (0, 21, 3), (0, 3), (0,), (0, modes)]
+
+
+def test_a_refined_head_comes_nearer_to_the_landmarks(head_models, heads) -> None:
+    aligned, refined = (fit_heads(head_models["alignment3d"], heads[:3], refine=refine) for refine in (False, True))
+    np.testing.assert_allclose(refined.landmarks, aligned.landmarks, atol=1e-3)
+    before, after = (((fits.landmarks_3d[..., :2] - fits.landmarks) ** 2).sum() for fits in (aligned, refined))
+    assert after < before
+    np.testing.assert_allclose(refined.pose, aligned.pose, atol=10)
+
+
+def test_only_alignments_can_be_refined(model, head_models) -> None:
+    for other in (model, head_models["regression3d"]):
+        with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
+            jaxfit.fit(other, [], [], refine=True)
+        with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
+            jaxfit.warm_up(other, refine=True)

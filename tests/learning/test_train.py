@@ -1,0 +1,38 @@
+"""Which faces training takes, and what it says of the others; what it learns is tested through the commands."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxfit.errors import InputError
+from jaxfit.heads.model import load_head_model
+from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.train import train
+from jaxfit.schemes.known import AFLW21, NO_LANDMARKS
+
+FACE = 20 * np.asarray(load_head_model().of(AFLW21, 0.5).mean)[:, :2].astype(float) + 200
+
+
+def record(name: str, landmarks: np.ndarray) -> FaceRecord:
+    seen = np.ones(len(landmarks), bool)
+    return FaceRecord(Path(f"{name}.png"), landmarks, seen, seen, None, None, name, name)
+
+
+def complaints(*faces: FaceRecord) -> str:
+    """What is said before it is noticed that none of the pictures is there."""
+    with pytest.raises(InputError, match="at least two readable pictures; got 0") as raised:
+        train(faces, AFLW21, method="regression3d")
+    return str(raised.value)
+
+
+def test_labels_on_a_line_are_left_out_and_reported() -> None:
+    line, point = FACE * [1, 0] + FACE[:, :1] * [0, 0.5], np.full_like(FACE, 7.0)
+    narrow = FACE * [0.05, 1]  # squeezed, but a face
+    said = complaints(*(record(name, face) for name, face in zip("abcd", (line, point, narrow, FACE), strict=True)))
+    assert "a.png: all landmarks lie on a line; b.png: all landmarks lie on a line; c.png: cannot be read" in said
+
+
+def test_faces_without_landmarks_are_no_training_data() -> None:
+    with pytest.raises(InputError, match="expected faces with landmarks to learn from"):
+        train([record("a", np.zeros((0, 2)))] * 3, NO_LANDMARKS)

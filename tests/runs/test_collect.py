@@ -1,0 +1,295 @@
+"""Batches in workers of several kinds, and ``jaxfit collect``: every picture once, whoever is killed."""
+
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from test_commands import rows_of
+
+import jaxfit
+from jaxfit.runs import collection as collecting
+from jaxfit.cli.main import main
+
+_MODEL = "fast68"
+_BROKEN = 3  # the number of the picture that is none
+
+
+@pytest.fixture(scope="module")
+def many(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten pictures, one of which is none."""
+    folder = tmp_path_factory.mktemp("many")
+    for number in range(10):
+        data = (drawn / f"face{number:03}.png").read_bytes()
+        (folder / f"{number:02}.png").write_bytes(data if number != _BROKEN else b"no picture")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def fitter() -> jaxfit.BatchFitter:
+    return jaxfit.BatchFitter(_MODEL, "whole")
+
+
+@pytest.fixture(scope="module")
+def batch(many: Path) -> dict[str, np.ndarray]:
+    return {"image": np.array(sorted(map(str, many.iterdir())), object)}
+
+
+@pytest.fixture(scope="module")
+def rows(fitter: jaxfit.BatchFitter, batch: dict) -> dict[str, np.ndarray]:
+    return fitter(batch)
+
+
+def same(some: dict, others: dict) -> bool:
+    """Whether two batches of rows are equal but for rounding: faces computed in other company end in other bits."""
+    return list(some) == list(others) and all(
+        np.allclose(values, others[name], atol=0.0011, equal_nan=True)
+        if values.dtype == np.float32
+        else list(values) == list(others[name])
+        for name, values in some.items()
+    )
+
+
+def test_a_batch_says_what_the_command_says(rows, many: Path, tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    fit = ["fit", str(many), "--model", _MODEL, "--detector", "whole", "--out", str(tmp_path), "--no-overlays"]
+    assert main([*fit, "--format", "parquet"]) == 0
+    table = parquet.read_table(tmp_path / "landmarks.parquet")
+    fitted = rows["problem"] == ""
+    assert [*table.column_names, "problem"] == list(rows)
+    expected = {
+        name: np.array(table[name].to_pylist(), rows[name].dtype) for name in table.column_names
+    }  # float32 and objects
+    assert same({name: rows[name][fitted] for name in expected}, expected)
+    (problem,) = rows_of(tmp_path / "problems.csv")
+    assert [problem["image"], problem["problem"]] == [rows["image"][_BROKEN], rows["problem"][_BROKEN]]
+    assert list(np.flatnonzero(~fitted)) == [_BROKEN]
+
+
+def test_bytes_are_as_good_as_files(fitter, batch, rows) -> None:
+    data = [Path(path).read_bytes() for path in batch["image"]]
+    of_bytes = fitter({"path": list(batch["image"]), "bytes": data})
+    assert same(of_bytes, rows)
+    assert fitter({"image": ["a"], "bytes": [None]})["problem"].tolist() == ["the file is empty"]
+
+
+def test_a_fitter_is_small_and_loads_its_model_in_processes_of_a_pool(fitter, batch, rows) -> None:
+    assert len(pickle.dumps(fitter)) < 500
+    parts = [{"image": batch["image"][first : first + 5]} for first in (0, 5)]
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        fitted = list(pool.map(fitter, parts))
+    assert same({name: np.concatenate([part[name] for part in fitted]) for name in rows}, rows)
+
+
+def test_data_frames_are_batches(fitter, batch, rows) -> None:
+    """As Spark's mapInPandas has them, and Dask's map_partitions."""
+    pandas = pytest.importorskip("pandas")
+    frame = pandas.DataFrame(batch)
+    whole = pandas.DataFrame(fitter(frame))
+    assert same({name: whole[name].to_numpy() for name in whole}, rows)
+    nothing = pandas.DataFrame(fitter({"image": []}))
+    assert list(nothing) == list(whole)
+    assert not len(nothing)
+    assert (nothing.dtypes.iloc[3:-1] == np.float32).all()
+
+
+def test_dask_maps_it_over_partitions(fitter, batch, rows) -> None:
+    dask = pytest.importorskip("dask.dataframe")
+    import pandas
+
+    def fit(frame: pandas.DataFrame) -> pandas.DataFrame:
+        return pandas.DataFrame(fitter(frame))
+
+    nothing = fit(pandas.DataFrame({"image": []}))
+    frames = dask.from_pandas(pandas.DataFrame(batch), npartitions=2)
+    whole = frames.map_partitions(fit, meta=nothing).compute(scheduler="synchronous")
+    assert same({name: whole[name].to_numpy() for name in whole}, rows)
+
+
+def test_heads_have_columns_of_their_own() -> None:
+    columns = list(jaxfit.BatchFitter("face68-3d", "whole")({"image": []}))
+    assert columns[-1] == "problem"
+    assert {"x1", "head_roll", "head_scale", "head_x1", "head_z68", "head_b1"} <= {*columns}
+
+
+def test_nonsense_is_refused_before_any_work(fitter, tmp_path: Path) -> None:
+    for wrong in ({"detector": "nose"}, {"initialisations": 2}, {"rotations": (90.0, -90.0)}, {"cores": 0}):
+        with pytest.raises(jaxfit.InputError, match="expected"):
+            jaxfit.BatchFitter(**wrong)
+    with pytest.raises(jaxfit.ModelError, match="no model 'face69'"):
+        jaxfit.BatchFitter("face69")
+    with pytest.raises(jaxfit.InputError, match="image or path; got bytes"):
+        fitter({"bytes": [b""]})
+    for wrong in ({"part": 0}, {"workers": 0}, {"gpus": -1.0}):
+        with pytest.raises(jaxfit.InputError, match="expected at least"):
+            jaxfit.fit_collection([], tmp_path, fitter, **wrong)
+
+
+@pytest.fixture
+def in_process(monkeypatch) -> list[list[str]]:
+    """Collections are fitted here, without Ray; gathers the parts that are fitted."""
+    pytest.importorskip("pyarrow")
+    begun = []
+
+    def fit_parts(parts, fitter, folder, workers, gpus):
+        work = collecting._PartFitter(fitter, folder)
+        for part in parts:
+            begun.append([Path(name).name for name in part])
+            done = work({"pictures": list(map(os.fsencode, part))})
+            yield done["pictures"], done["error"]
+
+    monkeypatch.setattr(collecting, "_require_ray", lambda: None)
+    monkeypatch.setattr(collecting, "_fit_parts", fit_parts)
+    return begun
+
+
+def manifest(out: Path) -> list[dict]:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    return parquet.read_table(out / "manifest.parquet").to_pylist()
+
+
+def test_only_what_is_missing_is_fitted(in_process, fitter, batch, tmp_path: Path) -> None:
+    pictures, told = list(batch["image"]), []
+    jaxfit.fit_collection(pictures[:4], tmp_path, fitter, part=2)
+    written = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
+    assert len(written) == 2
+    in_process.clear()
+    outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=4, progress=lambda *what: told.append(what[1:]))
+    assert in_process == [[f"{number:02}.png" for number in some] for some in (range(4, 8), range(8, 10))]
+    assert told == [(4, 10), (8, 10), (10, 10)]
+    assert outcomes == {"fitted": 9, "none": 0, "problem": 1, "missing": 0}
+    assert written == {path: path.stat().st_mtime_ns for path in written}
+    found = manifest(tmp_path)
+    assert [row["image"] for row in found] == pictures
+    assert [row["outcome"] for row in found] == ["fitted"] * _BROKEN + ["problem"] + ["fitted"] * 6
+    assert [row["faces"] for row in found] == [int(number != _BROKEN) for number in range(10)]
+    assert {row["part"] for row in found} == {path.name for path in (tmp_path / "parts").iterdir()}
+
+
+def test_a_part_that_kills_its_workers_is_missing_and_tried_again_later(in_process, fitter, batch, tmp_path) -> None:
+    pictures = list(batch["image"][:4])
+    jaxfit.fit_collection(pictures[:2], tmp_path, fitter, part=2)
+    work = collecting._PartFitter(fitter, tmp_path / "parts")
+    deadly = {"pictures": list(map(os.fsencode, pictures[2:]))}
+
+    def dies(*_) -> None:
+        raise SystemExit
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collecting, "_write_part", dies)
+        for _ in range(3):
+            with pytest.raises(SystemExit):
+                work(deadly)
+        assert work(deadly) == {"pictures": 0, "error": ""}
+        patch.setattr(collecting, "_fit_parts", lambda *_: (made for made in [(0, "")]))
+        outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=2)
+    assert outcomes == {"fitted": 2, "none": 0, "problem": 0, "missing": 2}
+    assert [row["outcome"] for row in manifest(tmp_path)] == ["fitted", "fitted", "missing", "missing"]
+    outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=2)
+    assert outcomes == {"fitted": 3, "none": 0, "problem": 1, "missing": 0}
+
+
+def test_what_stops_a_worker_stops_the_run(in_process, fitter, batch, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.safetensors"
+    damaged.write_bytes(b"no model")
+    with pytest.raises(jaxfit.JaxfitError, match="damaged"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path / "out", jaxfit.BatchFitter(damaged, "whole"))
+    with pytest.raises(jaxfit.InputError, match="other settings"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path / "out", fitter)
+
+
+def test_ray_has_to_be_there_and_to_keep_to_this_machine(fitter, batch, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(collecting, "find_spec", lambda name: None)
+    with pytest.raises(jaxfit.InputError, match="pip install"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
+    monkeypatch.setattr(collecting, "find_spec", lambda name: True)
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+    monkeypatch.delenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", raising=False)
+    with pytest.raises(jaxfit.InputError, match="imported, but not started"):
+        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
+    assert not list(tmp_path.iterdir())
+
+
+_IN_A_CLUSTER = """
+import os, sys
+os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+import ray, ray.data, jaxfit
+model, out, *pictures = sys.argv[1:]
+ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
+print(jaxfit.fit_collection(pictures, out, jaxfit.BatchFitter(model, "whole"), workers=1, part=2), flush=True)
+rows = ray.data.read_binary_files(sorted(pictures)[:2], include_paths=True).map_batches(
+    jaxfit.BatchFitter,
+    fn_constructor_kwargs={"model": model, "detector": "whole"},
+    batch_size=2,
+    compute=ray.data.ActorPoolStrategy(size=1),
+).take_all()
+print(sorted((os.path.basename(row["image"]), row["problem"]) for row in rows))
+"""
+
+
+def _held(run: subprocess.Popen, pipe: Path) -> int:
+    """Wait until a worker reads from the pipe, and hold it there: it waits for as long as this end is open."""
+    while run.poll() is None:
+        try:
+            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError:  # nobody reads from it yet
+            time.sleep(0.1)
+    raise AssertionError(run.communicate())
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(not find_spec("ray"), reason="needs jaxfit[ray]")
+def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Path) -> None:
+    """A picture that is a pipe holds its worker until that, or the whole run, is killed; afterwards it is a file."""
+    psutil = pytest.importorskip("psutil")
+    out, pipe = tmp_path / "out", tmp_path / "pipe.png"
+    os.mkfifo(pipe)
+
+    def map_workers(run: subprocess.Popen) -> list:
+        family = psutil.Process(run.pid).children(recursive=True)
+        return [each for each in family if "MapWorker" in " ".join(each.cmdline())]
+
+    pictures = [*batch["image"][:4], str(pipe), *batch["image"][4:]]
+    environment = {**os.environ, "RAY_worker_niceness": "0"}
+    collect = [sys.executable, "-m", "jaxfit.cli.main", "collect", "--model", _MODEL, "--detector", "whole"]
+    collect += ["--out", str(out), "--workers", "1", "--part", "2", *pictures]
+
+    with subprocess.Popen(collect, env=environment) as run:
+        held = _held(run, pipe)
+        workers = map_workers(run)
+        family = psutil.Process(run.pid).children(recursive=True)
+        sockets = [socket for each in family for socket in each.net_connections() if socket.status == "LISTEN"]
+        assert {socket.laddr.ip.removeprefix("::ffff:") for socket in sockets} == {"127.0.0.1"}
+        run.kill()
+    psutil.wait_procs(workers)
+    os.close(held)
+    written = {path: path.stat().st_mtime_ns for path in (out / "parts").glob("[!.]*.parquet")}
+    assert len(written) == 2
+
+    command = [sys.executable, "-c", _IN_A_CLUSTER, _MODEL, str(out), *pictures]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as run:
+        held = _held(run, pipe)
+        (worker,) = map_workers(run)
+        (tmp_path / "file.png").write_bytes(Path(pictures[0]).read_bytes())
+        (tmp_path / "file.png").replace(pipe)
+        worker.send_signal(signal.SIGKILL)
+        os.close(held)
+        said = run.communicate()[0].splitlines()
+    assert said[-2:] == [  # after what Ray says of the worker
+        "{'fitted': 10, 'none': 0, 'problem': 1, 'missing': 0}",
+        "[('00.png', ''), ('01.png', '')]",
+    ]
+    assert written == {path: path.stat().st_mtime_ns for path in written}
+    assert sorted(row["image"] for row in manifest(out)) == sorted(pictures)
+    table = pytest.importorskip("pyarrow.parquet").read_table(out / "parts")
+    assert sorted(table["image"].to_pylist()) == sorted(pictures)
+    assert not list((out / "parts").glob(".*"))
