@@ -1,0 +1,311 @@
+"""Fitting a folder of pictures, however many, into tables, overlays and other formats; a stopped run goes on."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain, starmap
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import jaxfit
+from jaxfit.cascade.starts import Starts
+from jaxfit.data.boxes import read_boxes
+from jaxfit.data.contact_sheet import write_contact_sheet
+from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
+from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
+from jaxfit.data.overlays import draw_row
+from jaxfit.data.pictures import read_image, write_image
+from jaxfit.data.rows import PROBLEM, Row, Rows
+from jaxfit.data.threads import in_order, reading_threads
+from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
+from jaxfit.errors import ImageError, InputError
+from jaxfit.fitting.fit import passes_from
+from jaxfit.fitting.refine import refine, require_refinable
+from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
+from jaxfit.models.files import DEFAULT_MODEL, load
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.schemes.scheme import Scheme
+
+# Pictures that are kept together when they are done: what a killed run loses at most.
+_CHUNK = 256
+_UNFINISHED = ".unfinished"
+_NO_ROW = "no row with this file name in the boxes"
+
+
+@dataclass(frozen=True)
+class FolderRun:
+    """What a run over pictures does, and where its results go.
+
+    Attributes:
+        out: the folder of the results, made if needed.
+        model: a bundled model's name, or a model file.
+        detector: what finds the faces: its name, as in ``jaxfit.detect_faces``; None takes the default one.
+        boxes: a CSV file of face boxes with the columns image, x, y, width and height, instead of a detector.
+        box_kind: what drew those boxes.
+        starts: of each face.
+        refine: refine 3D alignments, as ``jaxfit.refine`` does.
+        formats: what to write, among ``jaxfit.data.writers.WRITERS``.
+        overlays: write pictures with the faces drawn over them.
+        contact_sheet: write one picture of many faces, the doubtful first.
+        overwrite: begin anew where an unfinished run is in the way.
+    """
+
+    out: str | Path
+    model: str | Path = DEFAULT_MODEL
+    detector: str | None = None
+    boxes: str | Path | None = None
+    box_kind: str = SQUARE
+    starts: Starts = field(default_factory=Starts)
+    refine: bool = False
+    formats: tuple[str, ...] = DEFAULT_FORMATS
+    overlays: bool = True
+    contact_sheet: bool = False
+    overwrite: bool = False
+
+    def settings(self, pictures: Sequence[Path]) -> dict[str, Any]:
+        """What has to be the same for a stopped run to go on; JSON values."""
+        files = {
+            f"{name} file": _digest(path.read_bytes())
+            for name in ("model", "boxes")
+            if (path := Path(getattr(self, name) or "")).is_file()
+        }
+        names = "\0".join(map(str, pictures)).encode("utf-8", "surrogateescape")
+        return {
+            "jaxfit": jaxfit.__version__,
+            "model": str(self.model),
+            "detector": self.detector,
+            "box_kind": self.box_kind,
+            "starts": vars(self.starts),
+            "refine": self.refine,
+            "overlays": self.overlays,
+            **files,
+            "pictures": len(pictures),
+            "pictures' names": _digest(names),
+        }
+
+
+class Unfit(NamedTuple):
+    """A picture without a fit, or with a face that has none, and why."""
+
+    image: str
+    why: str
+
+
+@dataclass(frozen=True)
+class FolderReport:
+    """What a run has done.
+
+    Attributes:
+        pictures: how many there were.
+        resumed: how many of them an earlier run had done.
+        faces: how many were fitted.
+        problems: of pictures without a fit, and of faces in them.
+        unused: names of pictures in the file of boxes that were not given.
+        written: files and folders, in the folder of the results.
+    """
+
+    pictures: int
+    resumed: int
+    faces: int
+    problems: tuple[Unfit, ...]
+    unused: tuple[str, ...]
+    written: tuple[Path, ...]
+
+
+def fit_folder(
+    run: FolderRun, pictures: Sequence[str | Path], progress: Progress = lambda stage, done, total: None
+) -> FolderReport:
+    """Fit pictures into a folder of results: tables and other formats, overlays, and ``problems.csv``.
+
+    Pictures are done in chunks that are kept in ``.unfinished``, each as a whole or not at all: a run that was stopped
+    goes on when it is started again with the same settings and pictures, and gives the same files.
+
+    Args:
+        run: what to do; its folder of results may hold those of an earlier run, which are replaced.
+        pictures: files, as ``jaxfit.data.find_images`` finds them in folders.
+        progress: called with the stage's name, pictures done and pictures in all.
+
+    Raises:
+        InputError: a setting is wrong, the folder holds an unfinished run of other settings, or cannot be written to.
+        ModelError: no such model.
+    """
+    out = Path(run.out)
+    model = load(run.model)
+    pipeline, boxes = _pipeline(run, model)
+    # Overlays of a run before this one are no pictures to fit.
+    files = [path for path in map(Path, pictures) if out.absolute() not in path.absolute().parents]
+    unfinished = out / _UNFINISHED
+    if run.overwrite:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    _make_folder(unfinished)
+    try:
+        require_same_settings(unfinished / "settings.json", run.settings(files))
+    except InputError as error:
+        raise InputError(f"{error}, or overwrite to begin anew") from None
+    chunks = _Chunks(unfinished)
+    resumed = _fit_missing(run, pipeline, boxes, files, chunks, progress)
+    modes = None if model.space_3d is None else model.space_3d.modes
+    rows = Rows(model.scheme, modes, model.confidence is not None, chunks.faces)
+    progress("writing results", 0, 1)
+    written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
+    problems = list(chunks.problems())
+    write_csv(out / "problems.csv", ["image", "problem"], problems)
+    if run.contact_sheet:
+        problems += starmap(Unfit, write_contact_sheet(out / "contact-sheet.jpg", rows))
+        written.append("contact-sheet.jpg")
+    faces = sum(1 for _ in rows)
+    shutil.rmtree(unfinished)
+    written += ["problems.csv", *(["overlays"] if run.overlays else [])]
+    unused = sorted(set(boxes or ()) - {path.name for path in files})
+    return FolderReport(len(files), resumed, faces, tuple(problems), tuple(unused), tuple(out / name for name in written))
+
+
+_Boxes = Mapping[str, Sequence[np.ndarray]]
+
+
+def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
+    """How pictures are fitted, and the boxes of the file, if there is one; wrong settings stop before the work."""
+    if run.refine:
+        require_refinable(model)
+    if "parquet" in run.formats:
+        require_pyarrow()
+    if unknown := [name for name in run.formats if name not in WRITERS]:
+        raise InputError(f"expected formats among {', '.join(WRITERS)}; got {unknown[0]!r}")
+    if run.boxes is None:
+        if run.box_kind != SQUARE:
+            raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
+        detector = detector_named(run.detector or DEFAULT_DETECTOR)
+        return Pipeline(model, detector, run.starts, passes_from(detector)), None
+    if run.detector is not None:
+        raise InputError("expected boxes or a detector that finds them; got both")
+    model.placement(run.box_kind)
+    return Pipeline(model, starts=run.starts), read_boxes(run.boxes)
+
+
+def _fit_missing(
+    run: FolderRun, pipeline: Pipeline, boxes: _Boxes | None, files: Sequence[Path], chunks: "_Chunks", progress: Progress
+) -> int:
+    """Fit the chunks that are not there, and keep each; returns how many pictures were there."""
+    model = pipeline.model
+    overlays = _make_folder(Path(run.out) / "overlays") if run.overlays else None
+    labels = list(unique_names(files))
+    slices = [slice(first, first + _CHUNK) for first in range(0, len(files), _CHUNK)]
+    missing = [number for number in range(len(slices)) if not chunks.has(number)]
+    sources = (
+        [_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing
+    )
+    left = sum(len(files[slices[number]]) for number in missing)
+    with closing(stream(pipeline, sources, left, progress)) as results:
+        for number, fits in zip(missing, results, strict=True):
+            some = slices[number]
+            fits = refine(model, fits) if run.refine else fits
+            rows = list(fits.rows(labels[some], problems=True))
+            if boxes is not None:  # of pictures without any row that is said
+                rows = [row if "face" in row else row | {PROBLEM: _NO_ROW} for row in rows]
+            if overlays is not None:
+                rows += _draw(overlays, model.scheme, files[some], labels[some], rows)
+            chunks.put(number, rows)
+    return len(files) - left
+
+
+def _source(path: Path, boxes: _Boxes | None, kind: str) -> Source:
+    if boxes is None:
+        return Source(path, str(path))
+    given = np.array(boxes.get(path.name, [])).reshape(-1, 4)
+    return Source(path, str(path), given, (kind,) * len(given))
+
+
+def unique_names(pictures: Sequence[Path]) -> Iterator[str]:
+    """What the results of each picture are called: its stem, numbered where several pictures share it."""
+    taken: set[str] = set()
+    numbers: dict[str, int] = {}
+    for picture in pictures:
+        stem = name = picture.stem
+        while name in taken:
+            numbers[stem] = numbers.get(stem, 1) + 1
+            name = f"{stem}-{numbers[stem]}"
+        taken.add(name)
+        yield name
+
+
+def _draw(
+    folder: Path, scheme: Scheme, pictures: Sequence[Path], labels: Sequence[str], rows: Sequence[Row]
+) -> list[Row]:
+    """Draw an overlay for each picture with faces, in threads; returns rows that say what could not be written."""
+    faces: dict[str, list[Row]] = {}
+    for row in rows:
+        if PROBLEM not in row:
+            faces.setdefault(row["image"], []).append(row)
+
+    def draw(picture: Path, label: str) -> list[Row]:
+        try:
+            canvas = read_image(picture)
+            for row in faces[str(picture)]:
+                canvas = draw_row(canvas, row, scheme)
+            write_image(folder / f"{label}.jpg", canvas)
+        except ImageError as error:
+            return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]
+        return []
+
+    work: Iterator[Callable[[], list[Row]]] = (
+        partial(draw, picture, label)
+        for picture, label in zip(pictures, labels, strict=True)
+        if str(picture) in faces
+    )
+    with closing(in_order(work, reading_threads(len(faces)))) as drawn:
+        return list(chain.from_iterable(drawn))
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()[:16]
+
+
+def _make_folder(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"expected a folder to write to; {folder}: {error.strerror}") from None
+    return folder
+
+
+class _Chunks:
+    """What was found in pictures, chunk by chunk, in a folder: a chunk is there as a whole or not at all.
+
+    Args:
+        folder: holds a file of JSON lines a chunk; it exists.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def _file(self, number: int) -> Path:
+        return self._folder / f"{number:07}.jsonl"
+
+    def has(self, number: int) -> bool:
+        """Whether this chunk is there."""
+        return self._file(number).exists()
+
+    def put(self, number: int, rows: Sequence[Row]) -> None:
+        """Keep the rows of a chunk of pictures, and those that say what was wrong."""
+        with atomic_write(self._file(number), "w") as file:
+            file.writelines(json.dumps(row) + "\n" for row in rows)
+
+    def faces(self) -> Iterator[Row]:
+        """The fitted faces of all chunks, in order."""
+        return (row for row in self._rows() if PROBLEM not in row)
+
+    def problems(self) -> Iterator[Unfit]:
+        """The problems of all chunks, in order."""
+        return (Unfit(row["image"], row[PROBLEM]) for row in self._rows() if PROBLEM in row)
+
+    def _rows(self) -> Iterator[Row]:
+        # Not what a killed run was writing: hidden files.
+        for path in sorted(self._folder.glob("[0-9]*.jsonl")):
+            with path.open(encoding="utf-8") as lines:
+                yield from map(json.loads, lines)
