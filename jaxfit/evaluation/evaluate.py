@@ -81,13 +81,14 @@ class Evaluation:
         Raises:
             InputError: no parts, or of different models.
         """
+        fits = Fits.join([part.fits for part in parts])
         fitted = np.array([part.fits.fitted.sum() for part in parts])
         seconds = sum(count * part.seconds_per_face for count, part in zip(fitted, parts, strict=True) if count)
         errors_3d = [part.errors_3d for part in parts if part.errors_3d is not None]
         return replace(
             parts[0],
             faces=sum((part.faces for part in parts), ()),
-            fits=Fits.join([part.fits for part in parts]),
+            fits=fits,
             errors=np.concatenate([part.errors for part in parts]),
             errors_3d=np.concatenate(errors_3d) if errors_3d else None,
             seconds_per_face=float(seconds / fitted.sum()) if fitted.sum() else float("nan"),
@@ -227,7 +228,7 @@ def evaluate_steps(
     read: Read = read_grey,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Evaluation]:
-    """What `evaluate` gives, with the same arguments, for the model's first step alone, for its first two, and so on."""
+    """What `evaluate` gives, with the same arguments, for the model's first step alone, its first two, and so on."""
     counts = range(1, len(model.cascade.weights) + 1)
     models = [replace(model, cascade=first_steps(model.cascade, count), confidence=None) for count in counts]
     return [evaluate(each, faces, boxes, normaliser=normaliser, read=read, progress=progress) for each in models]
@@ -295,10 +296,8 @@ def fit_labelled(
 
 def _of_all(fits: Fits, mine: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
     """The fits of all processes, of which this one made those of the faces numbered ``mine``."""
-    if len(mine) == len(faces):
-        return fits
-    told = [[int(mine[problem.picture]), problem.why] for problem in fits.problems]
-    problems = sorted((row, why) for part in exchanged(told) for row, why in part)
+    own = [[int(mine[problem.picture]), problem.why] for problem in fits.problems]
+    problems = sorted((row, why) for part in exchanged(own) for row, why in part)
     whole: dict[str, Any] = {name: gathered(values, mine, len(faces)) for name, values in fits.arrays.items()}
     return replace(
         fits,

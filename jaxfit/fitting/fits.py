@@ -41,9 +41,9 @@ class Problem:
 class Fits:
     """Fits of N faces in P pictures.
 
-    ``fits[mask]``, ``fits[3]`` and ``fits[2:5]`` are fits of some of the faces, iteration gives one face at a time, each
-    as `Fits` of length 1, and `Fits.join` puts several together. Pictures without a face have no row: they stand in
-    ``problems``.
+    ``fits[mask]``, ``fits[3]`` and ``fits[2:5]`` are fits of some of the faces, iteration gives one face at a time,
+    each as `Fits` of length 1, and `Fits.join` puts several together. Pictures without a face have no row: they stand
+    in ``problems``.
 
     Attributes:
         scheme: what the landmarks mean.
@@ -103,15 +103,8 @@ class Fits:
         """Some of the faces: by number, slice, mask (N,) or numbers, in their order. The pictures stay what they are;
         problems are those of the chosen faces."""
         rows = np.arange(len(self))[chosen].reshape(-1)
-        places: dict[int, list[int]] = {}
-        for place, row in enumerate(rows.tolist()):
-            places.setdefault(row, []).append(place)
-        kept = [
-            replace(problem, row=place)
-            for problem in self.problems
-            if problem.row is not None
-            for place in places.get(problem.row, [])
-        ]
+        of_rows = {problem.row: problem for problem in self.problems if problem.row is not None}
+        kept = [replace(of_rows[row], row=place) for place, row in enumerate(rows.tolist()) if row in of_rows]
         return replace(
             self,
             kinds=tuple(self.kinds[row] for row in rows),
@@ -148,7 +141,10 @@ class Fits:
         """
         if not parts:
             raise InputError("expected fits to join; got none")
-        if len({(part.scheme.name, tuple(part.arrays)) for part in parts}) > 1:
+        models = {
+            (part.scheme.name, *((name, values.shape[1:]) for name, values in part.arrays.items())) for part in parts
+        }
+        if len(models) > 1:
             raise InputError("expected fits of one model to join; got several landmark schemes, or 2D and 3D")
         pictures = np.cumsum([0, *(len(part.names) for part in parts)]).tolist()
         rows = np.cumsum([0, *(len(part) for part in parts)]).tolist()
@@ -192,8 +188,8 @@ class Fits:
         )
 
     def to_dicts(self, problems: bool = False) -> list[dict[str, Any]]:
-        """The fitted faces as flat dicts with the columns of ``landmarks.csv``, and for 3D models those of ``heads.csv``
-        with ``head_`` before their names: what ``pandas.DataFrame`` and ``polars.DataFrame`` take.
+        """The fitted faces as flat dicts with the columns of ``landmarks.csv``, and for 3D models those of
+        ``heads.csv`` with ``head_`` before their names: what ``pandas.DataFrame`` and ``polars.DataFrame`` take.
 
         Args:
             problems: also give a row for each face that could not be fitted and each picture without a face, with a

@@ -28,10 +28,12 @@ def refine(model: Model, fits: Fits) -> Fits:
         fits: N faces.
 
     Raises:
-        InputError: the model aligns no 3D shape.
+        InputError: the model aligns no 3D shape, or the fits are another model's.
     """
     require_refinable(model)
     assert model.aligned is not None
+    if fits.scheme.name != model.scheme.name or fits.b is None or fits.b.shape[1] != model.aligned.modes:
+        raise InputError("refine: expected fits of the model that is to refine them; got another model's")
     rows = np.flatnonzero(fits.fitted)
     if not len(rows):
         return fits

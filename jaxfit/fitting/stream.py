@@ -2,8 +2,9 @@
 
     groups of pictures -> read (once) -> find faces -> cut -> batches of crops -> Fits of each group
 
-Every call, command and worker that fits goes through here. Threads read and look through pictures, others compute batches, and what they give comes back in order. A few pictures
-and batches are in memory at a time, however many there are.
+Every call, command and worker that fits goes through here. Threads read and look through pictures, others compute
+batches, and what they give comes back in order. A few pictures and batches are in memory at a time, however many there
+are.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -199,13 +200,14 @@ def see(source: Source, detector: Detector | None, read: Read | None) -> Seen:
     try:
         picture = to_eight_bits(pixels(image, read))
         if searching is not None:
-            found = searching(picture if searching.colour else to_grey(picture))
+            picture = picture if searching.colour else to_grey(picture)
+            found = searching(picture)
             nowhere = np.array([face.box for face in found], np.float64).reshape(-1, 4)
             kinds = tuple(face.kind for face in found)
     except (ImageError, OSError) as error:
-        why = str(error).removeprefix(f"{image}: ") if isinstance(image, str | Path) else str(error)
+        why = str(error).removeprefix(f"{Path(image)}: ") if isinstance(image, str | Path) else str(error)
         return Seen(None, nowhere, kinds, why)
-    return Seen(picture, nowhere, kinds, "" if len(nowhere) else NO_FACE if searching else NO_BOX)
+    return Seen(picture, nowhere, kinds, "" if len(nowhere) else NO_BOX if searching is None else NO_FACE)
 
 
 def _look(pipeline: Pipeline, source: Source) -> _Looked:
@@ -343,7 +345,7 @@ class _Group:
         for rows, found in self._found:
             for name, values in found.items():
                 arrays[name][rows] = values
-        finite = np.all([np.isfinite(values.reshape(count, -1)).all(1) for values in arrays.values()], 0)
+        finite = np.all([np.isfinite(values).all((*range(1, values.ndim),)) for values in arrays.values()], 0)
         for values in arrays.values():
             values[~finite] = np.nan
         known = {problem.row for problem in self._problems}
