@@ -138,7 +138,7 @@ def passes_from(detector: Detector) -> int:
 
 
 def warm_up(model: Model, batches: Sequence[int] | None = None, starts: Starts = Starts(), passes: int = 1) -> None:
-    """Compile the model for the batch sizes that `fit` uses, all by default; the first fit is then as fast as later ones.
+    """Compile the model for the batch sizes that `fit` uses, all by default; the first fit is then as fast as the next.
 
     Args:
         model: what to compile.
