@@ -9,9 +9,9 @@ from blobs import FRAME, MEAN, SPACE, Patch, blob_faces, shape_model_space
 from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
-from jaxfit.cascade.fit import centroid, fit_crops, fit_face, fit_heads, fit_starts, starts_of
-from jaxfit.cascade.model import Cascade
-from jaxfit.cascade.starts import start_rotations
+from jaxfit.cascade.fit import centroid, find, fit_crops, fit_face, fit_heads, fit_starts
+from jaxfit.cascade.model import Cascade, first_steps
+from jaxfit.cascade.starts import Starts, starts_of
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError
@@ -21,9 +21,14 @@ from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.space import Start
 
 CROPS, _ = blob_faces(4, seed=0)
-ROTATIONS = np.float32([-0.8, -0.3, 0.0, 0.3, 0.8])
+SEVERAL = Starts(5, -50.0, 40.0)
 ASM = shape_model_space(blob_faces(40, seed=3)[1])
 spaces = pytest.mark.parametrize("space", [SPACE, ASM], ids=["points", "asm"])
+
+
+def turned_by(degrees):
+    """A single start."""
+    return Starts(1, degrees, degrees)
 
 
 def random_cascade(descriptor=None, strength=0.7, steps=3):
@@ -74,11 +79,32 @@ def test_a_batch_is_a_loop():
         np.testing.assert_allclose(fit_crops(CASCADE, crop[None])[0], landmarks, atol=1e-2)
 
 
+@pytest.mark.parametrize("rank", [None, 5])
+def test_after_the_first_steps_the_others_lead_to_the_end(rank):
+    cascade, fit, rest = CASCADE, jax.jit(fit_face), slice(1, None)
+    if rank is not None:
+        directions = np.linalg.qr(np.random.default_rng(1).normal(size=(3, SPACE.size, rank)))[0].swapaxes(1, 2)
+        narrow = tuple(weights[:, :rank] for weights in cascade.weights)
+        cascade = replace(cascade, weights=narrow, directions=jnp.asarray(directions, jnp.float32))
+    others = replace(
+        cascade,
+        weights=cascade.weights[rest],
+        biases=cascade.biases[rest],
+        windows=cascade.windows[rest],
+        directions=None if rank is None else cascade.directions[rest],
+    )
+    first = fit(first_steps(cascade, 1), CROPS[0], START)
+    assert np.abs(first - START).max() > 0.5
+    np.testing.assert_allclose(fit(others, CROPS[0], first), fit(cascade, CROPS[0], START), atol=1e-2)
+    for same, whole in zip(jax.tree.leaves(first_steps(cascade, 3)), jax.tree.leaves(cascade), strict=True):
+        np.testing.assert_array_equal(same, whole)
+
+
 def test_an_empty_batch():
     assert jax.eval_shape(fit_crops, CASCADE, CROPS[:0]).shape == (0, 4, 2)
 
 
-def test_starts_upright_in_the_middle_unless_told_otherwise():
+def test_the_first_start_is_upright_in_the_middle():
     middle = SPACE.place(Start(jnp.full(2, 23.5), jnp.float32(1), jnp.float32(0)))
     expected = SPACE.landmarks(jax.jit(fit_face)(CASCADE, CROPS[0], middle))
     np.testing.assert_allclose(fit_crops(CASCADE, CROPS[:1])[0], expected, atol=1e-2)
@@ -96,11 +122,12 @@ def square_of(points):
     return (low + high) / 2, (high - low).max()
 
 
-@pytest.mark.parametrize("rotations", [None, ROTATIONS], ids=["one start", "several"])
-def test_a_second_pass_starts_where_the_first_one_ended(rotations):
+@pytest.mark.parametrize("starts", [Starts(), SEVERAL], ids=["one start", "several"])
+def test_a_second_pass_starts_where_the_first_one_ended(starts):
     """The mean face with the bounding square of the landmarks that were found."""
     middle, side = square_of(MEAN)
-    expected = fit_crops(CASCADE, CROPS, rotations)
+    once = fit_crops(CASCADE, CROPS, starts)
+    expected = once
     for passes in (2, 3):
         for row, crop in enumerate(CROPS):
             there, as_large = square_of(np.asarray(expected[row]))
@@ -108,15 +135,15 @@ def test_a_second_pass_starts_where_the_first_one_ended(rotations):
             start = Start(jnp.asarray(there - scale * middle)[None], jnp.asarray(scale)[None], jnp.zeros(1))
             again = fit_starts(CASCADE, jnp.asarray(crop)[None], start)[0, 0]
             expected = expected.at[row].set(again)
-        found = fit_crops(CASCADE, CROPS, rotations, passes=passes)
-        assert np.abs(found - fit_crops(CASCADE, CROPS, rotations)).max() > 0.5
+        found = fit_crops(CASCADE, CROPS, starts, passes=passes)
+        assert np.abs(found - once).max() > 0.5
         np.testing.assert_allclose(found, expected, atol=0.02)
 
 
 def test_a_still_cascade_passes_on_the_start():
     still = replace(CASCADE, weights=tuple(0 * of for of in CASCADE.weights), biases=0 * CASCADE.biases)
     np.testing.assert_allclose(fit_crops(still, CROPS, passes=3), fit_crops(still, CROPS), atol=1e-4)
-    turned = jnp.float32([0.4])
+    turned = turned_by(23.0)
     for space in (SPACE, ASM):
         turning = replace(
             still,
@@ -140,9 +167,10 @@ def test_no_passes_are_refused():
 
 def test_of_several_starts_the_centroid_of_the_fits_is_kept():
     # fits[k, n] is the fit of crop n from the k-th rotation alone.
-    fits = np.stack([fit_crops(CASCADE, CROPS, jnp.asarray([rotation])) for rotation in ROTATIONS])
+    alone = jax.jit(lambda rotation: find(CASCADE, None, CROPS, rotation[None])["landmarks"])
+    fits = np.stack([alone(rotation) for rotation in SEVERAL.rotations])
     expected = [candidates[np.argmin(far_apart(candidates))] for candidates in fits.swapaxes(0, 1)]
-    np.testing.assert_allclose(fit_crops(CASCADE, CROPS, jnp.asarray(ROTATIONS)), expected, atol=1e-2)
+    np.testing.assert_allclose(fit_crops(CASCADE, CROPS, SEVERAL), expected, atol=1e-2)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 11])
@@ -169,18 +197,6 @@ def test_fits_on_their_way_out_drown_no_others():
     for stray in (1e10, 1e25):
         candidates[0], candidates[1] = stray, -stray
         assert int(centroid(jnp.asarray(candidates))) == expected
-
-
-@spaces
-def test_turned_starts_have_the_bounding_square_of_the_upright_one(space):
-    starts = starts_of(space, FRAME, jnp.asarray([0.0, *ROTATIONS, np.pi / 2]))
-    faces = np.asarray(jax.vmap(lambda start: space.landmarks(space.place(start)))(starts))
-    middles = (faces.min(1) + faces.max(1)) / 2
-    np.testing.assert_allclose(middles, np.broadcast_to(middles[0], middles.shape), atol=1e-3)
-    sides = np.ptp(faces, 1).max(1)
-    np.testing.assert_allclose(sides, sides[0], rtol=1e-4)
-    np.testing.assert_allclose(starts.rotation, [0, *ROTATIONS, np.pi / 2])
-    np.testing.assert_allclose([*starts.centre[0], starts.scale[0]], [23.5, 23.5, 1], rtol=1e-6)
 
 
 @spaces
@@ -212,33 +228,11 @@ def test_a_turned_picture_is_no_harder_for_windows_that_turn(space, quarters):
 @pytest.mark.parametrize("descriptor", [Patch(), Patch(turns=True)], ids=["upright", "turning"])
 def test_a_face_goes_in_and_out_as_parameters_in_the_crop(descriptor):
     cascade = replace(random_cascade(descriptor, strength=0.1), biases=jnp.zeros((3, SPACE.size)))
-    start = starts_of(SPACE, FRAME, jnp.float32([0.7]))
+    turned = turned_by(40.0)
+    start = starts_of(SPACE, FRAME, turned.rotations)
     params = SPACE.place(jax.tree.map(lambda part: part[0], start))
-    expected = fit_crops(cascade, CROPS[:1], jnp.float32([0.7]))[0]
+    expected = fit_crops(cascade, CROPS[:1], turned)[0]
     np.testing.assert_allclose(SPACE.landmarks(jax.jit(fit_face)(cascade, CROPS[0], params)), expected, atol=1e-2)
-
-
-@pytest.mark.parametrize(
-    ("count", "degrees"), [(1, [5]), (4, [-80, -80 + 170 / 3, -80 + 340 / 3, 90]), (5, [-80, -37.5, 5, 47.5, 90])]
-)
-def test_rotations_cover_the_range_evenly(count, degrees):
-    np.testing.assert_allclose(start_rotations(count, (-80.0, 90.0)), np.radians(degrees), atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("count", "rotations"),
-    [
-        (0, (-90.0, 90.0)),
-        (2, (-90.0, 90.0)),
-        (3, (-180.0, 200.0)),
-        (3, (90.0, -90.0)),
-        (3, (float("nan"), 90.0)),
-        (3, (-900.0, 90.0)),
-    ],
-)
-def test_impossible_initialisations_are_refused(count, rotations):
-    with pytest.raises(InputError, match="expected one initialisation or at least three"):
-        start_rotations(count, rotations)
 
 
 def test_derivatives_of_the_whole_cascade_are_finite():
@@ -304,8 +298,8 @@ def rotations_of(poses):
 
 
 def test_a_still_cascade_gives_the_mean_head_as_it_starts():
-    heads = fit_heads(solid_cascade(0.0), CROPS, jnp.float32([0.5]))
-    np.testing.assert_allclose(heads.pose, np.tile([np.degrees(0.5), 0, 0], (4, 1)), atol=1e-4)
+    heads = fit_heads(solid_cascade(0.0), CROPS, turned_by(29.0))
+    np.testing.assert_allclose(heads.pose, np.tile([29, 0, 0], (4, 1)), atol=1e-4)
     np.testing.assert_array_equal(heads.b, np.zeros((4, 2)))
     assert heads.scale[0] < 0.95  # turned, the square around it is larger
     depths = heads.scale[0] * HEAD.model.mean[:, 2]
@@ -314,8 +308,8 @@ def test_a_still_cascade_gives_the_mean_head_as_it_starts():
 
 def test_heads_are_those_of_the_fits_that_are_kept():
     cascade = solid_cascade()
-    heads = fit_heads(cascade, CROPS, jnp.asarray(ROTATIONS))
-    np.testing.assert_allclose(heads.landmarks, fit_crops(cascade, CROPS, jnp.asarray(ROTATIONS)), atol=1e-2)
+    heads = fit_heads(cascade, CROPS, SEVERAL)
+    np.testing.assert_allclose(heads.landmarks, fit_crops(cascade, CROPS, SEVERAL), atol=1e-2)
     np.testing.assert_allclose(heads.landmarks_3d[..., :2], heads.landmarks, atol=1e-3)
     shapes = np.asarray(HEAD.model.mean + np.tensordot(heads.b, HEAD.model.modes, 1))
     turned = np.asarray(heads.scale)[:, None, None] * shapes @ rotations_of(heads.pose).swapaxes(1, 2)
@@ -328,10 +322,9 @@ def test_heads_are_those_of_the_fits_that_are_kept():
 @pytest.mark.parametrize("quarters", [1, 3])
 def test_a_turned_picture_turns_the_head(quarters):
     # Quarter turns map pixels onto pixels: the fits are the same, turned.
-    cascade, angle = solid_cascade(), jnp.float32([quarters * np.pi / 2])
-    heads = fit_heads(cascade, CROPS, jnp.zeros(1))
-    turned = fit_heads(cascade, np.rot90(CROPS, -quarters, (1, 2)).copy(), angle)
-    turn = Rotation.from_rotvec([0, 0, float(angle[0])]).as_matrix()
+    cascade, heads = solid_cascade(), fit_heads(solid_cascade(), CROPS)
+    turned = fit_heads(cascade, np.rot90(CROPS, -quarters, (1, 2)).copy(), turned_by(90.0 * quarters))
+    turn = Rotation.from_rotvec([0, 0, quarters * np.pi / 2]).as_matrix()
     np.testing.assert_allclose(rotations_of(turned.pose), turn @ rotations_of(heads.pose), atol=2e-3)
     centred = np.asarray(heads.landmarks_3d) - [23.5, 23.5, 0]
     np.testing.assert_allclose(turned.landmarks_3d, centred @ turn.T + [23.5, 23.5, 0], atol=0.02)
@@ -347,7 +340,7 @@ def test_a_head_is_aligned_to_the_landmarks_of_a_2d_cascade():
     still = replace(
         solid_cascade(0.0, turns=False), space=points, weights=(jnp.zeros((72, 16)),) * 3, biases=jnp.zeros((3, 16))
     )
-    heads = fit_heads(still, CROPS[:2], head=HEAD)
+    heads = fit_heads(still, CROPS[:2], aligned=HEAD)
     np.testing.assert_allclose(heads.landmarks, np.tile(seen[:, :2] + FRAME.middle, (2, 1, 1)), atol=1e-3)
     assert np.linalg.norm(heads.landmarks_3d[..., :2] - heads.landmarks, axis=-1).mean() < 0.3
     np.testing.assert_allclose(heads.landmarks_3d[..., 2], np.tile(seen[:, 2], (2, 1)), atol=0.6)
@@ -377,12 +370,8 @@ def test_heads_of_an_empty_batch():
     assert [part.shape for part in heads] == [(0, 8, 2), (0, 8, 3), (0, 3), (0,), (0, 2)]
 
 
-def test_heads_that_nothing_tells_of_are_refused():
-    with pytest.raises(InputError, match="expected a cascade of 3D regression, or a 3D shape model to align"):
+def test_impossible_heads_are_refused():
+    with pytest.raises(InputError, match="expected a cascade of 3D regression, or a 3D shape space to align"):
         fit_heads(CASCADE, CROPS)
-    with pytest.raises(InputError, match="only alignments can be refined"):
-        fit_heads(solid_cascade(), CROPS, refine=True)
     with pytest.raises(InputError, match=r"expected crops \(N, 48, 48\)"):
         fit_heads(solid_cascade(), CROPS[:, 1:])
-    with pytest.raises(InputError, match="at least one rotation"):
-        fit_heads(solid_cascade(), CROPS, jnp.zeros(0))

@@ -13,6 +13,8 @@ from jaxfit.cascade.confidence import moves_of as moves_of_arrays
 from jaxfit.cascade.fit import find as find_unjitted
 from jaxfit.cascade.fit import find_clues, fit_crops
 from jaxfit.cascade.greedy import train_cascade
+from jaxfit.cascade.model import first_steps
+from jaxfit.cascade.starts import Starts
 from jaxfit.shapes.space import rotate
 
 STEPS = 2
@@ -21,7 +23,7 @@ PATH = np.float32(RNG.normal(0, 9, (6, 2)) + RNG.normal(0, 1, (4, 6, 2)) + 30)
 OTHERS = PATH[-1] + np.float32(RNG.normal(0, 2, (5, 6, 2)))
 SHIFT, SCALE, ROTATION, SHAPE, SPREAD_OF_FITS = slice(3, 5), 5, 6, 7, 8
 
-find = jax.jit(find_unjitted, static_argnames=("refine", "every_step"))
+find = jax.jit(find_unjitted)
 
 
 def moves_of(path, others):
@@ -74,26 +76,25 @@ def test_a_face_that_collapsed_has_finite_moves() -> None:
     assert jnp.isfinite(moves_of(path, path[-1:])).all()
 
 
-@pytest.mark.parametrize("rotations", [None, np.float32([-0.4, 0.0, 0.4])], ids=["one start", "three"])
-def test_a_confidence_changes_nothing_and_is_that_of_the_best_fit(cascade, rotations) -> None:
+@pytest.mark.parametrize("starts", [Starts(), Starts(3, -25.0, 25.0)], ids=["one start", "three"])
+def test_a_confidence_changes_nothing_and_is_that_of_the_best_fit(cascade, starts) -> None:
     crops, _ = blob_faces(6, seed=9)
     features = cascade.weights[0].shape[0]
     confidence = confidence_of(features, count_moves(STEPS))
-    found = find(cascade, None, crops, rotations, confidence=confidence)
-    landmarks, clues = find_clues(cascade, crops, rotations)
-    np.testing.assert_array_equal(landmarks, fit_crops(cascade, crops, rotations))
+    found = find(cascade, None, crops, starts.rotations, confidence=confidence)
+    landmarks, clues = find_clues(cascade, crops, starts.rotations)
+    np.testing.assert_array_equal(landmarks, fit_crops(cascade, crops, starts))
     np.testing.assert_allclose(found["landmarks"], landmarks, atol=1e-4)
     hidden = np.tanh(clues.features @ confidence.seen + clues.moves @ confidence.moved + confidence.biases)
     odds = hidden @ confidence.output + confidence.offset
     np.testing.assert_allclose(found["confidence"], 1 / (1 + np.exp(-odds)), atol=1e-5)
-    assert set(find(cascade, None, crops, every_step=True, confidence=confidence)) == {"landmarks"}
 
 
 def test_clues_are_what_the_last_step_saw_and_how_it_got_there(cascade) -> None:
     crops, _ = blob_faces(3, seed=9)
-    steps = np.asarray(fit_crops(cascade, crops, None, every_step=True))
+    steps = np.stack([fit_crops(first_steps(cascade, count), crops) for count in range(1, STEPS + 1)], 1)
     start = SPACE.landmarks(jnp.ravel(SPACE.mean + FRAME.middle))
-    landmarks, clues = find_clues(cascade, crops)
+    landmarks, clues = find_clues(cascade, crops, Starts().rotations)
     for face in range(len(crops)):
         moves = moves_of(jnp.concatenate([start[None], steps[face]]), landmarks[face][None])
         np.testing.assert_allclose(clues.moves[face], moves, atol=1e-3)
@@ -108,7 +109,7 @@ def test_a_fit_that_diverged_has_no_confidence(cascade) -> None:
     wild = replace(cascade, biases=cascade.biases.at[0].set(jnp.nan))
     crops, _ = blob_faces(2, seed=0)
     confidence = confidence_of(cascade.weights[0].shape[0], count_moves(STEPS))
-    assert jnp.isnan(find(wild, None, crops, confidence=confidence)["confidence"]).all()
+    assert jnp.isnan(find(wild, None, crops, Starts().rotations, confidence=confidence)["confidence"]).all()
 
 
 def test_probabilities_grow_with_their_logits() -> None:
@@ -117,6 +118,6 @@ def test_probabilities_grow_with_their_logits() -> None:
         jnp.asarray(RNG.normal(size=(20, 7)), jnp.float32), jnp.asarray(RNG.normal(size=(20, 3)), jnp.float32)
     )
     order = jnp.argsort(jax.vmap(confidence.logit)(clues))
-    told = jax.vmap(confidence)(clues)[order]
-    assert (jnp.diff(told) >= 0).all()
-    assert 0 <= told[0] < told[-1] <= 1
+    probabilities = jax.vmap(confidence)(clues)[order]
+    assert (jnp.diff(probabilities) >= 0).all()
+    assert 0 <= probabilities[0] < probabilities[-1] <= 1

@@ -9,10 +9,10 @@ import pytest
 from blobs import FRAME, MEAN, SPACE, SPREAD, Patch, blob_faces, mean_error, shape_model_space, training_set
 from jax import numpy as jnp
 
-from jaxfit.cascade import greedy as train
+from jaxfit.cascade import greedy
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.cascade.greedy import SharedAxes, TrainingSet, sample_starts, train_cascade
-from jaxfit.cascade.starts import Spread, start_rotations
+from jaxfit.cascade.starts import Spread, Starts
 from jaxfit.cascade.state import State
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
@@ -69,7 +69,7 @@ def test_learns(descriptor, windows):
 def test_the_first_step_is_ridge_regression_on_the_dense_matrix(monkeypatch):
     landmarks = np.repeat(LANDMARKS[:, None], 4, 1)
     starts = landmarks + np.random.default_rng(0).normal(0, 2, landmarks.shape).astype(np.float32)
-    monkeypatch.setattr(train, "draw_states", lambda *_: State(starts.reshape(COUNT, 4, -1), np.zeros((COUNT, 4))))
+    monkeypatch.setattr(greedy, "draw_states", lambda *_: State(starts.reshape(COUNT, 4, -1), np.zeros((COUNT, 4))))
     cascade = trained(ridge=0.3)
 
     sizes = np.sqrt(((starts - starts.mean(2, keepdims=True)) ** 2).sum((2, 3)) / (MEAN**2).sum())
@@ -106,7 +106,7 @@ def test_shared_axes_are_found_once(monkeypatch):
     axes = SharedAxes(1.0)
     for one, other in zip(jax.tree.leaves(trained(axes=axes)), jax.tree.leaves(plain()), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-3)
-    monkeypatch.setattr(train, "spectrum", None)  # not reached
+    monkeypatch.setattr(greedy, "spectrum", None)  # not reached
     stronger = trained(axes=axes, ridge=1.0)
     for one, other in zip(stronger.weights, trained(axes=axes).weights, strict=True):
         assert np.linalg.norm(one) < np.linalg.norm(other)
@@ -138,8 +138,8 @@ def test_a_mirrored_face_is_the_flipped_crop():
 
 def test_the_size_of_batches_does_not_matter(monkeypatch):
     whole = fit_crops(plain(), NEW_CROPS)
-    monkeypatch.setattr(train, "_BATCH", 12)  # 3 faces at once, and the last batch is not full
-    monkeypatch.setattr(train, "_PCA_SAMPLES", 100)  # 2 of the 4 samples of each face; they span all features, too
+    monkeypatch.setattr(greedy, "_BATCH", 12)  # 3 faces at once, and the last batch is not full
+    monkeypatch.setattr(greedy, "_PCA_SAMPLES", 100)  # 2 of the 4 samples of each face; they span all features, too
     np.testing.assert_allclose(fit_crops(trained(), NEW_CROPS), whole, atol=0.05)
 
 
@@ -158,7 +158,6 @@ def test_turned_faces_are_found_from_several_starts(space):
     cascade = train_cascade(
         space, Patch(turns=True, samples=5), FRAME, training_set(CROPS, LANDMARKS), SPREAD, turn=1.5, **options
     )
-    rotations = start_rotations(7, (-90.0, 90.0))
     upright = mean_error(fit_crops(cascade, NEW_CROPS), NEW_LANDMARKS)
     assert upright < 0.6 * mean_error(START, NEW_LANDMARKS)
     for quarters in (-1, 1):
@@ -166,7 +165,7 @@ def test_turned_faces_are_found_from_several_starts(space):
         turn = np.array([[0, -quarters], [quarters, 0]])
         landmarks = (NEW_LANDMARKS - FRAME.middle) @ turn.T + FRAME.middle
         assert mean_error(START, landmarks) > 10
-        assert mean_error(fit_crops(cascade, crops, rotations), landmarks) < 2
+        assert mean_error(fit_crops(cascade, crops, Starts(7)), landmarks) < 2
 
 
 def test_starts_are_turned_evenly_about_the_pivot():

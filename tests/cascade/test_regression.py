@@ -122,10 +122,10 @@ def test_principal_axes_are_those_of_the_svd(shape, variance):
     np.testing.assert_allclose(found.axes.T @ found.axes, np.eye(kept), atol=2e-3)
     # Axes have no sign, and those of nearly equal variance mix: compare what they span, from the first one on.
     for first in range(1, kept + 1):
-        mine = np.asarray(found.axes)[:, :first]
+        span = np.asarray(found.axes)[:, :first]
         ratio = singular_values[first] / singular_values[first - 1] if first < len(singular_values) else 0
         if ratio < 0.95:
-            np.testing.assert_allclose(mine @ mine.T, axes[:first].T @ axes[:first], atol=5e-3)
+            np.testing.assert_allclose(span @ span.T, axes[:first].T @ axes[:first], atol=5e-3)
 
 
 @pytest.mark.parametrize("variance", [0.5, 0.8, 0.95, 1.0])

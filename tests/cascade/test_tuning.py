@@ -10,7 +10,7 @@ from blobs import FRAME, SPACE, SPREAD, Patch, blob_faces, mean_error, training_
 from jax import numpy as jnp
 from jax import random
 
-from jaxfit.cascade import tuning as finetune
+from jaxfit.cascade import tuning
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.cascade.greedy import train_cascade
 from jaxfit.cascade.tuning import Learned, Tuning, finetune_cascade
@@ -51,14 +51,14 @@ def assert_same_bits(a, b):
 def loss_of(cascade, landmarks=None, dropped=0.0):
     """The loss as a function of what is learned."""
     faces = FACES if landmarks is None else replace(FACES, landmarks=landmarks)
-    batch = finetune._upright(finetune._batch_of(faces, finetune._depths(cascade, faces), np.arange(8)))
-    drawn = finetune._Drawn(SPREAD.sigmas, jnp.float32(0))
-    states = finetune._starts(cascade, random.split(random.key(0), 8), batch.pivots, drawn)
-    levels = finetune._levels(cascade)
+    batch = tuning._upright(tuning._batch_of(faces, tuning._depths(cascade, faces), np.arange(8)))
+    drawn = tuning._Drawn(SPREAD.sigmas, jnp.float32(0))
+    states = tuning._starts(cascade, random.split(random.key(0), 8), batch.pivots, drawn)
+    levels = tuning._levels(cascade)
 
     @jax.jit
     def loss(learned):
-        return finetune._loss(finetune._with(cascade, learned), levels, batch, states, random.key(1), dropped)
+        return tuning._loss(tuning._with(cascade, learned), levels, batch, states, random.key(1), dropped)
 
     return loss
 
@@ -99,7 +99,7 @@ def test_learns_what_greedy_training_does_not():
 
 def test_the_best_epoch_is_taken(monkeypatch):
     said = iter([0.5, 0.4, 0.1, 0.3])
-    monkeypatch.setattr(finetune, "_checked", lambda *_: next(said))
+    monkeypatch.setattr(tuning, "_checked", lambda *_: next(said))
     states = []
     cascade, errors = finetune_cascade(greedy(), FACES, CHECK, SPREAD, replace(TUNING, epochs=3), keep=states.append)
     np.testing.assert_allclose(errors, [0.5, 0.4, 0.1, 0.3])
@@ -150,14 +150,14 @@ def test_missing_landmarks_do_not_count():
     value, gradient = jax.value_and_grad(loss)(learned_of(greedy()))
     assert np.isfinite(value)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
-    known = np.asarray(finetune._distances(SPACE, *_one_face(landmarks[0])))
-    whole = np.asarray(finetune._distances(SPACE, *_one_face(FACES.landmarks[0])))
+    known = np.asarray(tuning._distances(SPACE, *_one_face(landmarks[0])))
+    whole = np.asarray(tuning._distances(SPACE, *_one_face(FACES.landmarks[0])))
     np.testing.assert_array_equal(np.isnan(known), [False, True, False, False])
     np.testing.assert_array_equal(known[[0, 2, 3]], whole[[0, 2, 3]])
 
 
 def _one_face(landmarks):
-    state = finetune.State(jnp.asarray(FACES.landmarks[1].reshape(-1)), jnp.float32(0))
+    state = tuning.State(jnp.asarray(FACES.landmarks[1].reshape(-1)), jnp.float32(0))
     return state, jnp.asarray(landmarks), jnp.full(4, jnp.nan)
 
 
@@ -188,13 +188,13 @@ def test_a_single_step_learns():
 
 
 def test_each_face_is_seen_in_each_epoch(monkeypatch):
-    seen, batch_of = [], finetune._batch_of
+    seen, batch_of = [], tuning._batch_of
 
     def watched(faces, depths, rows):
         seen.append(rows)
         return batch_of(faces, depths, rows)
 
-    monkeypatch.setattr(finetune, "_batch_of", watched)
+    monkeypatch.setattr(tuning, "_batch_of", watched)
     finetune_cascade(greedy(), FACES, None, SPREAD, replace(TUNING, epochs=2, batch=16))
     for epoch in np.reshape(seen, (2, 48)):
         counts = np.bincount(epoch, minlength=COUNT)
@@ -205,11 +205,11 @@ def test_starts_are_turned_as_far_as_training_had_them():
     """Of a cascade that is tuned from upright starts alone, turned ones get worse."""
     options = {"windows": (0.9, 0.6), "augmentations": 8, "variance": 1.0, "ridge": 3.0, "seed": 0}
     before = train_cascade(SPACE, Patch(turns=True), FRAME, FACES, SPREAD, **options, turn=1.0)
-    tuning = replace(TUNING, epochs=6)
-    _, errors = finetune_cascade(before, FACES, CHECK, SPREAD, tuning, turn=1.0)
+    gentle = replace(TUNING, epochs=6)
+    _, errors = finetune_cascade(before, FACES, CHECK, SPREAD, gentle, turn=1.0)
     assert errors[-1] < errors[0]
-    upright, _ = finetune_cascade(before, FACES, None, SPREAD, tuning)
-    _, of_upright = finetune_cascade(upright, FACES, CHECK, SPREAD, replace(tuning, epochs=1), turn=1.0)
+    upright, _ = finetune_cascade(before, FACES, None, SPREAD, gentle)
+    _, of_upright = finetune_cascade(upright, FACES, CHECK, SPREAD, replace(gentle, epochs=1), turn=1.0)
     assert errors[-1] < 0.9 * of_upright[0]
 
 
