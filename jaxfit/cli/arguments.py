@@ -3,7 +3,7 @@
 import argparse
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
-from jaxfit.labels.datasets import FORMATS, convert_dataset, read_dataset
-from jaxfit.labels.records import Dataset
+from jaxfit.labels.datasets import FORMATS
+from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
+from jaxfit.labels.datasets import shared_scheme as shared_scheme
 from jaxfit.learning.methods import METHODS, Options, default_descriptor, view_of
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.schemes.known import SCHEMES, scheme_named
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
 _DEFAULT = Options()
@@ -358,35 +359,6 @@ def seed(text: str) -> int:
     if number < 0:
         raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
     return number
-
-
-def read_datasets(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
-    """The datasets that ``--data`` names, their labels converted to the scheme of ``--scheme`` unless that is None.
-
-    Raises:
-        InputError: one is named twice, or its labels cannot be converted.
-        DatasetError: one cannot be read.
-    """
-    if len(set(specs)) < len(specs):
-        raise InputError(f"expected each dataset once; got {' '.join(specs)}")
-    datasets = [read_dataset(spec) for spec in specs]
-    return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
-
-
-def shared_scheme(datasets: Sequence[Dataset]) -> Scheme:
-    """The landmark scheme of all datasets.
-
-    Raises:
-        InputError: they have several.
-    """
-    first = datasets[0]
-    for other in datasets[1:]:
-        if other.scheme != first.scheme:
-            raise InputError(
-                f"datasets must share their landmarks: {first.spec} has {first.scheme.name}, {other.spec} has "
-                f"{other.scheme.name}; --scheme can convert some that have landmarks"
-            )
-    return first.scheme
 
 
 def out_folder(path: str) -> Path:

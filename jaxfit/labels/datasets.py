@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,6 +17,7 @@ from jaxfit.labels.importers.pointing04 import read_pointing04
 from jaxfit.labels.importers.pts_folder import read_pts_folder
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.conversions import convert, sources
+from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.scheme import Scheme
 
 # A reader gets the path and returns the labelled faces, at least one of them with its picture, or raises DatasetError.
@@ -84,3 +85,33 @@ def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:
         )
 
     return replace(dataset, scheme=scheme, faces=tuple(map(converted, dataset.faces)))
+
+
+def read_datasets(specs: Sequence[str], scheme: str | None = None) -> list[Dataset]:
+    """The datasets that several ``FORMAT:PATH`` name, their labels converted to the scheme of a name if one is given.
+
+    Raises:
+        InputError: one is named twice, or its labels cannot be converted.
+        DatasetError: one cannot be read.
+    """
+    if len(set(specs)) < len(specs):
+        raise InputError(f"expected each dataset once; got {' '.join(specs)}")
+    datasets = [read_dataset(spec) for spec in specs]
+    return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
+
+
+def shared_scheme(datasets: Sequence[Dataset]) -> Scheme:
+    """The landmark scheme of all datasets.
+
+    Raises:
+        InputError: they have several.
+    """
+    first = datasets[0]
+    for other in datasets[1:]:
+        if other.scheme != first.scheme:
+            raise InputError(
+                f"datasets must share their landmarks: {first.spec} has {first.scheme.name}, {other.spec} has "
+                f'{other.scheme.name}; --scheme can convert some that have landmarks, as can scheme = "NAME" in a '
+                "configuration"
+            )
+    return first.scheme
