@@ -1,7 +1,7 @@
 """What landmarks mean: how points are mirrored, drawn, normalised and converted from one labelling to another."""
 
 from jaxfit.schemes.conversions import convert
-from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW29, SCHEMES, scheme_named
+from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW29, SCHEMES, scheme_named, scheme_of_count
 from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme, mirrored
 
@@ -16,4 +16,5 @@ __all__ = [
     "convert",
     "mirrored",
     "scheme_named",
+    "scheme_of_count",
 ]

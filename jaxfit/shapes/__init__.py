@@ -1,8 +1,8 @@
-"""Coordinate systems for faces, and what their landmarks mean."""
+"""Coordinate systems for faces: a vector of parameters to landmarks, for one face."""
 
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.similarity import SimilarityASM
 
-# What model files call the shape spaces; a new one is a line here, and one in ``jaxfit.learning.train.METHODS``.
+# What model files call the shape spaces; a new one is a line here, and one in ``jaxfit.learning.methods.METHODS``.
 SPACES = {"points": PointSpace, "similarity-asm": SimilarityASM, "camera-asm": CameraASM}
