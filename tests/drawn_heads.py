@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from jaxfit.cascade.greedy import Greedy
@@ -23,15 +24,15 @@ SIDE = 140  # pixels, of the pictures
 HEAD = np.asarray(load_head_model().of(AFLW21, 0.5).mean)  # cm
 
 
-def rotation_of(pose):
+def rotation_of(pose: ArrayLike) -> Rotation:
     """The rotation of roll, pitch, yaw in degrees: clockwise, looking up, nose to the image's left."""
-    roll, pitch, yaw = pose
+    roll, pitch, yaw = np.asarray(pose)
     return Rotation.from_euler("YXZ", [yaw, -pitch, roll], degrees=True)
 
 
-def draw_head(folder: Path, name: str, pose, size: float, middle) -> FaceRecord:
+def draw_head(folder: Path, name: str, pose: ArrayLike, size: float, middle: ArrayLike) -> FaceRecord:
     """Write the picture of a head of ``size`` pixels a cm."""
-    points = (size * rotation_of(pose).apply(HEAD))[:, :2] + middle
+    points = (size * rotation_of(pose).apply(HEAD))[:, :2] + np.asarray(middle)
     rows, columns = np.mgrid[:SIDE, :SIDE]
     picture = np.full((SIDE, SIDE), 110.0)
     for i, (x, y) in enumerate(points):
