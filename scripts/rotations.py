@@ -7,21 +7,23 @@ trained models and tables are kept in ``--out``.
 
 import argparse
 import csv
-import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
+from report import Report, dataset_names, measure, save_figure, script_parser
 
 import jaxfit
-from jaxfit.cascade.fit import centroid, fit_starts, starts_of
-from jaxfit.cascade.starts import start_rotations
+from jaxfit.cascade.fit import centroid, fit_starts
+from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.starts import Starts, starts_of
 from jaxfit.cli.arguments import (
     add_datasets,
     add_training,
@@ -29,19 +31,18 @@ from jaxfit.cli.arguments import (
     read_datasets,
     shared_scheme,
     training_options,
-    variant,
 )
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
+from jaxfit.data.outputs import require_same_settings, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.evaluation.plots import new_figure
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.methods import METHODS
 from jaxfit.learning.train import train
 from jaxfit.schemes.conversions import convert
 from jaxfit.schemes.scheme import Scheme
@@ -50,9 +51,9 @@ COUNTS = (1, 3, 5, 7, 9, 11)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, out="models, tables and the figure")
     add_datasets(parser)
-    parser.add_argument("--method", nargs="+", default=["sdm", "parametric"], help="as for crossvalidate.py")
+    parser.add_argument("--method", nargs="+", choices=METHODS, default=["sdm", "parametric"], help="what to train")
     add_training(parser)
     parser.add_argument("--model", nargs="+", default=[], help="test these, on all faces, instead of training")
     parser.add_argument("--folds", type=int, default=5)
@@ -64,68 +65,56 @@ def main() -> int:
         help="of the pictures",
     )
     parser.add_argument("--faces", type=int, help="test at most so many faces of each dataset")
-    parser.add_argument("--out", required=True, metavar="DIR", help="where models, tables and the figure go")
-    parser.set_defaults(initialisations=max(COUNTS))
-    arguments = parser.parse_args()
-    return exit_code(run, arguments)
+    parser.set_defaults(starts=max(COUNTS))
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
     folder = out_folder(arguments.out)
     settings = {k: v for k, v in sorted(vars(arguments).items()) if k not in ("out", "data", "method", "model")}
-    # Named by folder, so that the settings do not depend on where the data lie.
-    settings["datasets"] = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
+    settings["datasets"] = names = dataset_names(datasets)
     require_same_settings(folder / "settings.json", settings)
-    learned, tested = [], {}
-    for dataset in datasets:
+    learned: list[FaceRecord] = []
+    tested: dict[str, list[FaceRecord]] = {}
+    for name, dataset in zip(names, datasets, strict=True):
         faces = [face for face in dataset.faces if face.complete]
         folds = split_by_subject([face.subject for face in faces], arguments.folds, arguments.seed)
         learned += [face for face, fold in zip(faces, folds, strict=True) if fold > 0 and not arguments.model]
-        name = Path(dataset.spec.partition(":")[2]).name
-        if name in tested:
-            raise InputError(f"expected datasets in folders of different names; got {name} twice")
         tested[name] = [face for face, fold in zip(faces, folds, strict=True) if fold == 0 or arguments.model]
         tested[name] = tested[name][: arguments.faces]
-    rows = []
-    for text in arguments.model or arguments.method:
-        name = quote(text.replace(":", "-"), safe="=,")
-        if arguments.model:
-            model = jaxfit.load(text)
-        else:
-            method, options = variant(text, partial(training_options, arguments, scheme))
-            model_file = folder / f"{name}.safetensors"
-            if not model_file.exists():
-                with Bars() as bars:
-                    jaxfit.save(train(learned, scheme, method=method, options=options, progress=bars).model, model_file)
-            model = jaxfit.load(model_file)
-        for dataset_name, faces in tested.items():
-            path = folder / f"{name}-{dataset_name}.csv"
+    rows: list[dict[str, Any]] = []
+    for method in arguments.model or arguments.method:
+        model_file = folder / f"{method}.safetensors"
+        if not arguments.model and not model_file.exists():
+            options = training_options(arguments, scheme, method)
+            with Bars() as bars:
+                jaxfit.save(train(learned, scheme, method=method, options=options, progress=bars).model, model_file)
+        model = jaxfit.load(method if arguments.model else model_file)
+        for name, faces in tested.items():
+            path = folder / f"{quote(f'{method}-{name}', safe='')}.csv"
             if not path.exists():
-                found = [measure(model, scheme, faces, degrees, arguments) for degrees in arguments.degrees]
+                found = [medians(model, scheme, faces, degrees, arguments) for degrees in arguments.degrees]
                 lines = zip(COUNTS, *found, strict=True)
                 write_csv(path, ["initialisations", *map(str, arguments.degrees)], [list(line) for line in lines])
             with open(path, encoding="utf-8", newline="") as file:
-                read = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(file)]
-            for row in read:
-                row["initialisations"] = int(row["initialisations"])
-            rows += [{"dataset": dataset_name, "method": text, **row} for row in read]
+                for count, row in zip(COUNTS, csv.DictReader(file), strict=True):
+                    numbers = {key: float(value) for key, value in row.items()}
+                    rows.append({"dataset": name, "method": method, **numbers, "initialisations": count})
     columns = {"dataset": "", "method": "", "initialisations": "d", **{str(d): ".4f" for d in arguments.degrees}}
     counts = ", ".join(f"{len(faces)} of {name}" for name, faces in tested.items())
     about = (
-        f"Median NMED over the outer eye corners of faces that were not trained on ({counts}) against the "
-        "rotation of the picture in degrees.\n"
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}."
+        f"Median NMED over the outer eye corners of faces that were not trained on ({counts}) against the rotation of "
+        "the picture in degrees."
     )
-    with atomic_write(folder / "table.md", "w") as file:
-        file.write(f"{about}\n\n{markdown_table(rows, columns)}\n")
-    print((folder / "table.md").read_text(), end="")
+    report.table(rows, columns, above=about)
     draw(rows, arguments.degrees, folder / "rotations.png")
-    return 0
 
 
-def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degrees: float, arguments) -> list[float]:
+def medians(
+    model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degrees: float, arguments: argparse.Namespace
+) -> list[float]:
     """Median error of faces in pictures turned by ``degrees``, for each number of initialisations.
 
     Every start is fitted once, however many numbers of initialisations it belongs to.
@@ -137,22 +126,22 @@ def measure(model: jaxfit.Model, scheme: Scheme, faces: list[FaceRecord], degree
     boxes = start_boxes(placed, arguments.seed)
     crops, problems = jaxfit.crop_faces(model, [picture for picture, _ in turned], boxes)
     if problems:
-        raise InputError(f"faces that cannot be fitted: {problems}")
-    starts = {count: np.asarray(start_rotations(count, tuple(arguments.rotations))) for count in COUNTS}
+        raise InputError(f"faces that cannot be fitted: {'; '.join(map(str, problems))}")
+    starts = {count: np.asarray(Starts(count, *arguments.rotations).rotations) for count in COUNTS}
     every = np.unique(np.concatenate(list(starts.values())))
     fits = np.asarray(fit_all(model.cascade, jnp.asarray(crops.pixels), jnp.asarray(every)))
-    medians = []
+    found = []
     for count in COUNTS:
         candidates = fits[:, np.searchsorted(every, starts[count])]
         chosen = np.asarray(jax.vmap(centroid)(jnp.asarray(candidates)))
         landmarks = crops.to_images(candidates[np.arange(len(faces)), chosen].astype(float))
         landmarks = convert(landmarks, model.scheme, scheme)
-        medians.append(float(np.median(nmed(landmarks, truth, scheme, "outer"))))
-    return medians
+        found.append(float(np.median(nmed(landmarks, truth, scheme, "outer"))))
+    return found
 
 
 @jax.jit
-def fit_all(cascade, crops, rotations):
+def fit_all(cascade: Cascade, crops: jax.Array, rotations: jax.Array) -> jax.Array:
     """The fits of every crop from every rotation: (faces, starts, landmarks, 2)."""
     starts = starts_of(cascade.space, cascade.frame, rotations)
     return fit_starts(cascade, crops, starts)
@@ -170,25 +159,23 @@ def turn(face: FaceRecord, degrees: float) -> tuple[np.ndarray, np.ndarray]:
     return picture, face.landmarks @ rotation.T + offset
 
 
-def draw(rows: list[dict[str, object]], degrees: list[float], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+def draw(rows: Sequence[dict[str, Any]], degrees: Sequence[float], path: Path) -> None:
+    """A panel for each dataset and method: errors against the rotation, a line for each number of initialisations."""
+    from matplotlib import colormaps
 
     panels = list(dict.fromkeys((row["dataset"], row["method"]) for row in rows))
-    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 3.6), sharey=True, squeeze=False)
+    figure = new_figure(4.0 * len(panels), 3.6)
+    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)
     for (dataset, method), ax in zip(panels, axes[0], strict=True):
         for row in rows:
             if (row["dataset"], row["method"]) == (dataset, method):
-                shade = plt.get_cmap("viridis")(COUNTS.index(row["initialisations"]) / len(COUNTS))
+                shade = colormaps["viridis"](COUNTS.index(row["initialisations"]) / len(COUNTS))
                 ax.plot(degrees, [row[str(d)] for d in degrees], "o-", ms=3, color=shade, label=row["initialisations"])
         ax.set(title=f"{dataset}, {method}", xlabel="rotation of the picture (degrees)", ylim=(0, 0.3))
         ax.grid(alpha=0.3)
     axes[0, 0].set_ylabel("median NMED")
     axes[0, -1].legend(title="initialisations", fontsize="small")
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,6 @@
 
 import argparse
 import os
-import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ from jaxfit.errors import InputError
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
 from jaxfit.labels.datasets import shared_scheme as shared_scheme
-from jaxfit.learning.methods import METHODS, Options, default_descriptor, view_of
+from jaxfit.learning.methods import Options, default_descriptor
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.schemes.known import SCHEMES
@@ -296,61 +294,6 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         descriptor=None if descriptor == usual else descriptor,
         frame=replace(descriptor.frame, **sides) if sides else None,
     )
-
-
-def variant(text: str, otherwise: Callable[[str], Options]) -> tuple[str, Options]:
-    """The method and the options that ``NAME`` or ``NAME:key=value,key=value`` asks for.
-
-    A key is the name of an option, of a number of the frame or of a choice of the descriptor; what has no key is as
-    ``otherwise(method)`` has it. ``descriptor=dense`` takes another descriptor, with the crops that suit
-    it. Several numbers are separated by commas too: ``windows=0.4,0.3``.
-
-    Raises:
-        InputError: an unknown method, descriptor or key, or a value that the option cannot have.
-    """
-    method, colon, rest = text.partition(":")
-    if method not in METHODS:
-        raise InputError(f"--method {text}: expected a method among {', '.join(METHODS)}; got {method!r}")
-    # A comma before key= ends a value, any other is inside one.
-    texts = dict(pair.partition("=")[::2] for pair in re.split(r",(?=\w+=)", rest)) if colon else {}
-    options = otherwise(method)
-    kind = texts.pop("descriptor", None)
-    starts = {"starts": options.starts.count, "rotations": (options.starts.low, options.starts.high)}
-    plain = options.flat() | starts
-    plain = {key: value for key, value in plain.items() if key not in ("descriptor", "frame")}
-    try:
-        given = {key: _read_like(default, key, texts.pop(key)) for key, default in plain.items() if key in texts}
-        count, rotations = given.pop("starts", options.starts.count), given.pop("rotations", starts["rotations"])
-        options = options.but(starts=Starts(count, *rotations), **given)
-        if kind:  # not before: which one is usual depends on the other options
-            usual = default_descriptor(method, options.starts)
-            descriptor = descriptor_like(usual, kind)
-            options = replace(options, descriptor=None if descriptor == usual else descriptor, frame=None)
-        parts: dict[str, Any] = dict(zip(("descriptor", "frame"), view_of(method, options), strict=True))
-        known = [*plain, *(key for part in parts.values() for key in vars(part))]
-        for key in texts:
-            if key not in known:
-                raise InputError(f"expected key=value with a key among {', '.join(known)}; got {key!r}")
-        for name, part in parts.items():
-            keys = {key: _read_like(default, key, texts[key]) for key, default in vars(part).items() if key in texts}
-            options = replace(options, **{name: replace(part, **keys)}) if keys else options
-        return method, options
-    except InputError as error:
-        raise InputError(f"--method {text}: {error}") from None
-
-
-def _read_like(default: Any, key: str, text: str) -> Any:
-    """What ``text`` says, in the type of ``default``."""
-    try:
-        if default is None:  # of which there are two: the radius of the ellipsoid, and the rank
-            return None if text == "None" else int(text) if key == "rank" else float(text)
-        if isinstance(default, bool):
-            return {"true": True, "false": False}[text.lower()]
-        if isinstance(default, tuple):
-            return tuple(map(float, text.split(",")))
-        return type(default)(text)
-    except (KeyError, ValueError):
-        raise InputError(f"expected {key} to be like {default}; got {text!r}") from None
 
 
 def seed(text: str) -> int:
