@@ -193,11 +193,12 @@ class Fits:
 
         Args:
             problems: also give a row for each face that could not be fitted and each picture without a face, with a
-                column ``problem``, which is empty for all others.
+                column ``problem``, which is empty for all others; numbers that are not known are NaN.
         """
         if not problems:
             return [flat_row(row) for row in self.rows()]
-        return [dict.fromkeys(self.columns) | flat_row(row) | {PROBLEM: row.get(PROBLEM, "")} for row in self._rows()]
+        unknown = dict.fromkeys(self.columns, np.nan)
+        return [unknown | flat_row(row) | {PROBLEM: row.get(PROBLEM, "")} for row in self._rows()]
 
     def _rows(self, labels: Sequence[str] | None = None) -> Iterator[Row]:
         """A row for each face, and for each picture without one; those that were not fitted say why."""
@@ -218,21 +219,21 @@ class Fits:
     def _row(self, row: int, picture: int, problem: str | None) -> Row:
         width, height = self.sizes[picture].tolist()
         x, y, across, down = rounded(self.boxes[row])
-        told: Row = {
+        entry: Row = {
             "size": {"width": width, "height": height},
             "box": {"kind": self.kinds[row], "x": x, "y": y, "width": across, "height": down},
         }
         if problem is not None:
-            return told | {PROBLEM: problem}
-        told["landmarks"] = rounded(self.landmarks[row])
+            return entry | {PROBLEM: problem}
+        entry["landmarks"] = rounded(self.landmarks[row])
         if self.confidence is not None:
-            told["confidence"] = rounded(self.confidence[row])
+            entry["confidence"] = rounded(self.confidence[row])
         if self.pose is not None and self.scale is not None and self.landmarks_3d is not None and self.b is not None:
-            told["pose"] = dict(zip(ANGLES, rounded(self.pose[row]), strict=True))
-            told["scale"] = rounded(self.scale[row])
-            told["landmarks_3d"] = rounded(self.landmarks_3d[row])
-            told["b"] = rounded(self.b[row])
-        return told
+            entry["pose"] = dict(zip(ANGLES, rounded(self.pose[row]), strict=True))
+            entry["scale"] = rounded(self.scale[row])
+            entry["landmarks_3d"] = rounded(self.landmarks_3d[row])
+            entry["b"] = rounded(self.b[row])
+        return entry
 
 
 def _same(one: Any, other: Any) -> bool:
