@@ -1,22 +1,20 @@
 """How well 3D alignment recovers shape and pose from landmarks with errors, on random heads of the head model."""
 
 import argparse
-import platform
 import sys
-import time
+from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from report import Report, measure, script_parser
 from scipy.spatial.transform import Rotation
+from timing import computed, median_seconds
 
-import jaxfit
-from jaxfit.cli.arguments import seed
-from jaxfit.cli.main import exit_code
+from jaxfit.cli.arguments import add_head_model, seed
 from jaxfit.errors import InputError
-from jaxfit.evaluation.tables import markdown_table
-from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.heads.model import load_head_model
 from jaxfit.schemes.known import SCHEMES, scheme_named
 from jaxfit.shapes.alignment import Alignment, align_head, refine_head
 from jaxfit.shapes.camera import rotation_matrix
@@ -37,19 +35,19 @@ COLUMNS = {
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = script_parser(__doc__)
     parser.add_argument("--scheme", choices=SCHEMES, default="ibug68")
-    parser.add_argument("--head", default=DEFAULT_HEAD_MODEL, help="head model: a bundled one's name, or a file")
+    add_head_model(parser)
     parser.add_argument("--shape-variance", type=float, default=0.99)
     parser.add_argument("--faces", type=int, default=256)
     parser.add_argument("--seed", type=seed, default=0)
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     if arguments.faces < 1:
         raise InputError(f"expected --faces of 1 or more; got {arguments.faces}")
-    model = load_head_model(arguments.head).of(scheme_named(arguments.scheme), arguments.shape_variance)
+    model = load_head_model(arguments.head_model).of(scheme_named(arguments.scheme), arguments.shape_variance)
     pixels = FACE / jnp.ptp(model.mean[:, :2], 0).max()
     model = model.scaled(pixels)
     rng = np.random.default_rng(arguments.seed)
@@ -59,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     rotations = jax.vmap(rotation_matrix)(*jnp.asarray(angles, jnp.float32).T)
     heads = jax.vmap(model.reconstruct)(b)
     exact = jnp.einsum("nij,nlj->nli", rotations[:, :2], heads, precision="highest")
-    solvers = {
+    solvers: dict[str, Callable[[jax.Array], Alignment]] = {
         "Figure 7, prior from the noise (default)": partial(align_head, model),
         "no prior": partial(align_head, model, noise=0.0),
         "default, then refined": lambda points: refine_head(model, points, align_head(model, points)),
@@ -69,10 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         points = exact + noise * jnp.asarray(rng.normal(size=exact.shape), jnp.float32)
         for name, solver in solvers.items():
             solve = jax.jit(jax.vmap(solver))
-            found: Alignment = jax.block_until_ready(solve(points))
-            begin = time.perf_counter()
-            jax.block_until_ready(solve(points))
-            seconds = time.perf_counter() - begin
+            found: Alignment = solve(points)
             turned = np.einsum("nij,nkj->nik", found.camera.rotation, rotations)
             pose = np.degrees(Rotation.from_matrix(turned).magnitude())
             apart = np.linalg.norm(jax.vmap(model.reconstruct)(found.b) - heads, axis=(1, 2))
@@ -86,16 +81,14 @@ def run(arguments: argparse.Namespace) -> int:
                     "shape median %": float(np.median(shape)),
                     "shape 95 % %": float(np.percentile(shape, 95)),
                     "rounds": float(np.median(found.rounds)),
-                    "ms/face": 1000 * seconds / count,
+                    "ms/face": 1000 * median_seconds(computed(solve, points), 1) / count,
                 }
             )
-    print(
-        f"{count} random heads of {arguments.head} ({arguments.scheme}, {len(model.deviations)} modes), "
-        f"{', '.join(f'{angle} up to {most:g}°' for angle, most in MOST.items())}; faces of {FACE:g} px. "
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}.\n"
+    about = (
+        f"{count} random heads of {arguments.head_model} ({arguments.scheme}, {len(model.deviations)} modes), "
+        f"{', '.join(f'{angle} up to {most:g}°' for angle, most in MOST.items())}; faces of {FACE:g} px."
     )
-    print(markdown_table(rows, COLUMNS))
-    return 0
+    report.table(rows, COLUMNS, above=about)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Try every kind of bad input and print what a user sees, as a table."""
 
+import argparse
 import contextlib
 import io
 import shutil
@@ -10,6 +11,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
+from report import Report, measure, script_parser
 from safetensors.numpy import load_file, save_file
 from scipy.io import savemat
 
@@ -19,14 +22,17 @@ from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 
 
-def main() -> None:
+def main() -> int:
+    return measure(run, script_parser(__doc__).parse_args())
+
+
+def run(_: argparse.Namespace, report: Report) -> None:
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        print("| input | what the user sees |\n|---|---|")
-        for what, attempt in cases(folder).items():
-            said = attempt().strip().replace(name, "…").replace("|", "\\|").replace("\n", "<br>")
-            print(f"| {what} | {said} |")
-            sys.stdout.flush()
+        rows = [
+            {"input": what, "what the user sees": attempt().strip().replace(name, "…").replace("\n", "<br>")}
+            for what, attempt in cases(Path(name)).items()
+        ]
+    report.table(rows, {"input": "", "what the user sees": ""})
 
 
 def cases(folder: Path) -> dict[str, Callable[[], str]]:
@@ -46,13 +52,13 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
     def fits(path: Path) -> Callable[[], str]:
         return lambda: _said("fit", str(path), "--out", str(folder / "out"))
 
-    def in_python(images: list[np.ndarray], boxes: object) -> Callable[[], str]:
+    def in_python(images: list[np.ndarray], boxes: ArrayLike) -> Callable[[], str]:
         def attempt() -> str:
             try:
                 fitted = jaxfit.fit(model, images, boxes, kind="haar-frontal")
             except jaxfit.JaxfitError as error:
                 return f"{type(error).__name__}: {error}"
-            return f"problems: {fitted.problems}" if fitted.problems else "fitted like any other"
+            return f"problem: {fitted.problems[0]}" if fitted.problems else "fitted like any other"
 
         return attempt
 
@@ -62,6 +68,7 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
     deep = picture.astype(np.uint16) * 257
     _, deep_png = cv2.imencode(".png", deep)
     _, alpha_png = cv2.imencode(".png", alpha)
+    _, flat_png = cv2.imencode(".png", np.zeros((200, 200), np.uint8))
 
     labels = folder / "labels"
     labels.mkdir()
@@ -94,7 +101,7 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
         "picture: truncated JPEG": fits(made("cut.jpg", jpeg[: len(jpeg) // 2])),
         "picture: HEIC": fits(made("phone.heic", b"\0\0\0\x18ftypheic" + bytes(64))),
         "picture: missing": fits(folder / "nowhere.jpg"),
-        "picture: no face in it": fits(made("flat.png", cv2.imencode(".png", np.zeros((200, 200), np.uint8))[1])),
+        "picture: no face in it": fits(made("flat.png", flat_png.tobytes())),
         "picture file: 16 bits": fits(made("deep.png", deep_png.tobytes())),
         "picture file: alpha": fits(made("alpha.png", alpha_png.tobytes())),
         "folder without pictures": fits(empty),
@@ -151,13 +158,13 @@ def _of_3d(
         write_image(people / f"person01100{tilt}+0.jpg", picture)
     (people / "person01100+0+0.txt").write_text("person01100+0+0.jpg\nFace\n170\n100\n200\n200\n")
     head = folder / "head.safetensors"
-    bundled = Path(jaxfit.__file__).parent / "models" / "bundled_head_models" / "ict-facekit.safetensors"
+    bundled = Path(jaxfit.__file__).parent / "heads" / "bundled" / "ict-facekit.safetensors"
     head.write_bytes(bundled.read_bytes()[:900])
     train = ("train", "--method", "regression3d", "--out", str(folder / "m.safetensors"))
     return {
         "3D: to refine a 2D model": evaluates("sdm68", f"pts:{labels}", "--refine"),
-        "3D: a damaged head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", str(head)),
-        "3D: no such head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head", "nobody"),
+        "3D: a damaged head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head-model", str(head)),
+        "3D: no such head model": lambda: _said(*train, "--data", f"pts:{labels}", "--head-model", "nobody"),
         "3D: AFLW2000 with a damaged file": evaluates("regression68-3d", f"aflw2000:{mats}"),
         "3D: Pointing'04 with a missing box": evaluates("regression68-3d", f"pointing04:{people.parent}"),
         "3D: training without landmarks": lambda: _said(*train, "--data", f"pointing04:{people.parent}"),
@@ -203,4 +210,4 @@ def _said(*arguments: str) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -7,7 +7,6 @@ stage by stage, beside what the machine can do. Whatever is timed is timed in a 
 import argparse
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -17,21 +16,20 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from benchmark_dlib import FINE, cut_crops, dlib, load_rival, rectangles, rival_fits, train_rival
+from report import Report, dataset_names, measure, save_figure, script_parser
 
 import jaxfit
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.data.outputs import write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.plots import new_figure
-from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, markdown_table, summary_row
+from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, summary_row
 from jaxfit.fitting.stream import BATCHES
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model
@@ -61,7 +59,7 @@ CSV_COLUMNS = [*(name for name in SPEED_COLUMNS if name != "at batch"), "batch"]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, out="benchmark.md, benchmark.csv, sizes.csv and plots")
     parser.add_argument("models", nargs="+", metavar="MODEL", help="model files or names of bundled models")
     add_datasets(parser)
     parser.add_argument("--normaliser", choices=NORMALISERS, default="outer")
@@ -71,11 +69,10 @@ def main() -> int:
     parser.add_argument("--cores", type=int, nargs="+", default=[1, 2], help="numbers of cores to measure on")
     parser.add_argument("--repetitions", type=int, default=9, help="of each measurement; the median counts")
     parser.add_argument("--seed", type=int, default=0, help="of the boxes")
-    parser.add_argument("--out", required=True, metavar="DIR", help="where benchmark.md, benchmark.csv and plots go")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     require_measurable(arguments)
     load_before = os.getloadavg()[0]
     folder = out_folder(arguments.out)
@@ -85,10 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"expected models of different names, none {RIVAL}; got {' '.join(arguments.models)}")
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
-    # Named by folder, so that the tables do not depend on where the data lie.
-    folders = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
-    if len(set(folders)) < len(folders):
-        raise InputError(f"expected datasets in folders of different names; got {' '.join(folders)}")
+    folders = dataset_names(datasets)
     names = [name for name, each in zip(folders, datasets, strict=True) for face in each.faces if face.complete]
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
     boxes = start_boxes(faces, arguments.seed)
@@ -101,7 +95,7 @@ def run(arguments: argparse.Namespace) -> int:
         for name, model in models.items():
             result = jaxfit.evaluate(model, faces, boxes, scheme=scheme, normaliser=arguments.normaliser, progress=bars)
             errors[name] = result.errors
-            problems += [f"{name}: {problem}" for problem in result.problems.values()]
+            problems += [f"{name}: {problem}" for problem in result.fits.problems]
     if predictor:
         truth = np.stack([face.landmarks for face in faces])
         errors[RIVAL] = nmed(rival_fits(predictor, first, faces, boxes), truth, scheme, arguments.normaliser)
@@ -128,7 +122,7 @@ def run(arguments: argparse.Namespace) -> int:
             job = {"measure": "sizes", "model": str(path), "faces": str(given[name])}
             job |= {"batch": BATCHES[0], "repetitions": arguments.repetitions}
             print(f"{name}: fewer steps and landmarks …", file=sys.stderr, flush=True)
-            sizes[name] = measure(job, [max(arguments.cores)])[0]
+            sizes[name] = measured(job, [max(arguments.cores)])[0]
 
     write_csv(folder / "benchmark.csv", CSV_COLUMNS, csv_rows(rows))
     write_csv(
@@ -137,23 +131,15 @@ def run(arguments: argparse.Namespace) -> int:
         [[name, size, *each] for name, found in sizes.items() for size, rates in found.items() for each in rates],
     )
     plot_speeds(figure, rows, sizes)
-    with atomic_write(folder / "throughput.png") as file:
-        figure.savefig(file, format="png", dpi=150)
-    text = "\n\n".join(
-        [
-            "# Benchmark",
-            f"{made_with()} 1-minute load average when it began: {load_before:.2f}. "
-            f"Warm; medians of {arguments.repetitions}, from files of {min(3, arguments.repetitions)}; first results "
-            f"of {FIRSTS} processes, one after the other.",
-            *speed_tables(rows, missing, first),
-            *error_tables(errors, names, faces, arguments.normaliser),
-            *stages,
-        ]
+    save_figure(figure, folder / "throughput.png", dpi=150)
+    report.title = "Benchmark"
+    report.add(
+        f"1-minute load average when it began: {load_before:.2f}. Warm; medians of {arguments.repetitions}, from files "
+        f"of {min(3, arguments.repetitions)}; first results of {FIRSTS} processes, one after the other."
     )
-    with atomic_write(folder / "benchmark.md", "w") as file:
-        file.write(text + "\n")
-    print(text)
-    return 0
+    add_speeds(report, rows, missing, first)
+    add_errors(report, errors, names, faces, arguments.normaliser)
+    report.add(*stages)
 
 
 def require_measurable(arguments: argparse.Namespace) -> None:
@@ -221,7 +207,7 @@ def save_faces(model: Model, faces: Sequence[FaceRecord], boxes: np.ndarray, pat
 def speed(name: str, job: dict[str, Any], cores: list[int], model: Path) -> dict[str, Any]:
     """What processes that work at once, each on so many ``cores`` of its own, do together."""
     print(f"{name}: cores of each process: {' '.join(map(str, cores))} …", file=sys.stderr, flush=True)
-    found = measure(job, cores)
+    found = measured(job, cores)
     each = zip(*(one["speeds"] for one in found), strict=True)
     speeds = [
         {
@@ -264,7 +250,7 @@ def first_result(job: dict[str, Any], cores: int) -> float:
     return float(np.median(times[1:]))
 
 
-def measure(job: dict[str, Any], cores: list[int]) -> list[dict[str, Any]]:
+def measured(job: dict[str, Any], cores: list[int]) -> list[dict[str, Any]]:
     """What processes find that do a job at once, each on so many ``cores`` of its own."""
     free = sorted(os.sched_getaffinity(0))
     command = [sys.executable, str(HERE / "benchmark_worker.py"), json.dumps(job)]
@@ -279,9 +265,10 @@ def measure(job: dict[str, Any], cores: list[int]) -> list[dict[str, Any]]:
             stack.callback(worker.kill)  # if another one fails
             free = free[count:]
         for worker in workers:
-            if worker.stdout.readline() != "ready\n":
+            if worker.stdout is None or worker.stdout.readline() != "ready\n":
                 raise SystemExit(f"failed: {' '.join(command)}")
         for worker in workers:
+            assert worker.stdin is not None
             worker.stdin.write("\n")
             worker.stdin.flush()
         found = [worker.communicate()[0] for worker in workers]
@@ -346,9 +333,9 @@ def plot_speeds(
     ax.legend()
     for other, size in zip(others, ("steps", "landmarks"), strict=True):
         for name, found in sizes.items():
-            if rates := found.get(size):
+            if points := found.get(size):
                 label = f"{name}, batches of {BATCHES[0]}, on {max(row['cores'] for row in rows)} cores"
-                other.plot(*zip(*rates, strict=True), marker="o", label=label)
+                other.plot(*zip(*points, strict=True), marker="o", label=label)
         other.set_ylim(bottom=0)
         other.set(xlabel=size, ylabel="faces/s")
         other.legend()
@@ -363,7 +350,8 @@ def workplace(row: dict[str, Any]) -> str:
     return f"{row['cores']} core{'s' if row['cores'] > 1 else ''}"
 
 
-def speed_tables(rows: Sequence[dict[str, Any]], missing: str, model: Model) -> list[str]:
+def add_speeds(report: Report, rows: Sequence[dict[str, Any]], missing: str, model: Model) -> None:
+    """Speed and memory of each method, then its speed by the size of batches."""
     frame = model.cascade.frame
     left_out = [{"method": f"{RIVAL}: {missing}"}] if missing else []
     by_batch: dict[int, dict[str, Any]] = {}
@@ -373,43 +361,43 @@ def speed_tables(rows: Sequence[dict[str, Any]], missing: str, model: Model) -> 
                 at_batch = by_batch.setdefault(each["batch"], {"batch": each["batch"]})
                 at_batch[f"{row['method']}, {workplace(row)}"] = each["faces/s"]
     columns = dict.fromkeys((name for at_batch in by_batch.values() for name in at_batch), ".0f")
-    return [
-        "faces/s: from uint8 grey crops to landmarks in their pixels (`jaxfit.fit_crops`, as many batches at the same "
-        "time as `jaxfit.fit` computes), at the best batch. From files: `jaxfit.fit` of pictures on disk, which the "
-        "system has read before, and boxes. Latency: one face of a picture that has been read (`jaxfit.fit`). First: "
-        "from the start of a process to its first fit, all imports included, with JAX's cache of what earlier ones "
-        "compiled. Compile: `jaxfit.warm_up` in a fresh process, with nothing kept from earlier ones; peak memory is "
-        "that of a process that does this and fits single faces. "
-        f"dlib gets the same faces one by one: the {frame.crop} × {frame.crop} crops of the first model with the box, "
-        "in whole pixels, that the crop was cut for; its points are not read into arrays. Its binding keeps to one "
-        "core, so that more cores have a process each, which work at once: rates and memory are their sums.",
-        markdown_table([*rows, *left_out], SPEED_COLUMNS),
-        "faces/s by batch:",
-        markdown_table(list(by_batch.values()), columns),
-    ]
+    report.table(
+        [*rows, *left_out],
+        SPEED_COLUMNS,
+        above="faces/s: from uint8 grey crops to landmarks in their pixels (`fit_crops` of `jaxfit.cascade`, as many "
+        "batches at the same time as `jaxfit.fit` computes), at the best batch. From files: `jaxfit.fit` of "
+        "pictures on disk, which the system has read before, and boxes. Latency: one face of a picture that has "
+        "been read (`jaxfit.fit`). First: from the start of a process to its first fit, all imports included, "
+        "with JAX's cache of what earlier ones compiled. Compile: `jaxfit.warm_up` in a fresh process, with "
+        "nothing kept from earlier ones; peak memory is that of a process that does this and fits single faces. "
+        f"dlib gets the same faces one by one: the {frame.crop} × {frame.crop} crops of the first model with the "
+        "box, in whole pixels, that the crop was cut for; its points are not read into arrays. Its binding keeps "
+        "to one core, so that more cores have a process each, which work at once: rates and memory are their "
+        "sums.",
+    )
+    report.table(list(by_batch.values()), columns, above="faces/s by batch:")
 
 
-def error_tables(
-    errors: dict[str, np.ndarray], names: list[str], faces: Sequence[FaceRecord], normaliser: str
-) -> list[str]:
+def add_errors(
+    report: Report, errors: dict[str, np.ndarray], names: list[str], faces: Sequence[FaceRecord], normaliser: str
+) -> None:
     """Each method's errors, and how those of ours differ from the rival's."""
     of_faces = np.array(names)
     groups = {name: of_faces == name for name in dict.fromkeys(names)}
     if len(groups) > 1:
         groups["all"] = np.ones(len(names), bool)
     subjects = np.array([f"{name}/{face.subject}" for name, face in zip(names, faces, strict=True)])
-    tables = [
-        f"NMED over {NORMALISER_TITLES[normaliser]}, on the same faces and boxes. Faces without a fit count in the "
-        f"median, the AUC and the failures. dlib finds whole pixels, here those of crops of {FINE.crop} × {FINE.crop}.",
-        markdown_table(
-            [
-                {"dataset": name, "method": method, **summary_row(found[group], subjects[group])}
-                for name, group in groups.items()
-                for method, found in errors.items()
-            ],
-            {"dataset": "", "method": "", **SUMMARY_COLUMNS},
-        ),
-    ]
+    report.table(
+        [
+            {"dataset": name, "method": method, **summary_row(found[group], subjects[group])}
+            for name, group in groups.items()
+            for method, found in errors.items()
+        ],
+        {"dataset": "", "method": "", **SUMMARY_COLUMNS},
+        above=f"NMED over {NORMALISER_TITLES[normaliser]}, on the same faces and boxes. Faces without a fit count in "
+        "the median, the AUC and the failures. dlib finds whole pixels, here those of crops of "
+        f"{FINE.crop} × {FINE.crop}.",
+    )
     if RIVAL in errors:
         rows = [
             {"dataset": name, "method": method, **comparison_row(found[group], errors[RIVAL][group], subjects[group])}
@@ -418,25 +406,7 @@ def error_tables(
             if method != RIVAL
         ]
         columns = {"dataset": "", "method": "", **COMPARISON_COLUMNS}
-        tables.append(f"Compared with {RIVAL}; below zero is better:\n\n{markdown_table(rows, columns)}")
-    return tables
-
-
-def made_with() -> str:
-    """Versions and the machine."""
-    rivals = "" if dlib is None else f", dlib {dlib.__version__}"
-    return (
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, numpy {np.__version__}{rivals}, Python "
-        f"{platform.python_version()}; {platform.system()}, {platform.machine()}, {processor()}, "
-        f"{len(os.sched_getaffinity(0))} cores, {jax.devices()[0].device_kind}."
-    )
-
-
-def processor() -> str:
-    """The processor's name."""
-    with open("/proc/cpuinfo", encoding="utf-8") as file:
-        names = [line.partition(":")[2].strip() for line in file if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "processor unknown"
+        report.table(rows, columns, above=f"Compared with {RIVAL}; below zero is better:")
 
 
 if __name__ == "__main__":

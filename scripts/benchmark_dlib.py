@@ -99,7 +99,8 @@ def cut_crops(model: Model, frame: Frame, faces: Sequence[FaceRecord], boxes: np
     frame = replace(frame, shift=model.cascade.frame.shift)
     framed = replace(model, cascade=replace(model.cascade, frame=frame))
     crops, problems = jaxfit.crop_faces(framed, [face.image for face in faces], boxes, read=read_grey)
-    numbers = np.array([number for number in range(len(faces)) if number not in problems], int)
+    uncut = {problem.row for problem in problems}
+    numbers = np.array([number for number in range(len(faces)) if number not in uncut], int)
     return Crops(frame, crops.pixels[numbers], crops.scale[numbers], crops.offset[numbers]), numbers
 
 

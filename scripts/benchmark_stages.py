@@ -6,10 +6,7 @@ alone; in a fit they are compiled together, so that their shares need not add up
 """
 
 import argparse
-import os
-import platform
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -18,18 +15,19 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from report import Report, cores, measure, script_parser
+from timing import computed, median_seconds
 
 import jaxfit
-from jaxfit.cascade.fit import fit_crops, starts_of
+from jaxfit.cascade.fit import fit_crops
 from jaxfit.cascade.model import Cascade, Regressor
+from jaxfit.cascade.starts import starts_of
 from jaxfit.cascade.state import State, advanced, features_of, state_of
-from jaxfit.cli.main import exit_code
 from jaxfit.descriptors import dense, sift
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
-from jaxfit.evaluation.tables import markdown_table
 
-SIDE = 2048  # of the matrices that tell what the machine can compute
+SIDE = 2048  # of the matrices whose product measures what the machine can compute
 COPIED = 2**28  # bytes, far more than caches hold
 FLOAT = 4  # bytes
 COLUMNS = {
@@ -46,19 +44,22 @@ COLUMNS = {
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__)
     parser.add_argument("models", nargs="+", metavar="MODEL", help="model files or names of bundled models")
     parser.add_argument("--batch", type=int, default=256, help="faces at once")
     parser.add_argument("--repetitions", type=int, default=9, help="of each measurement; the median counts")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     if min(arguments.batch, arguments.repetitions) < 1:
         raise InputError(
             f"expected a batch and repetitions of 1 or more; got {arguments.batch} and {arguments.repetitions}"
         )
-    seconds = partial(median_seconds, arguments.repetitions)
+
+    def seconds(function: Callable[..., Any], *inputs: Any) -> float:
+        return median_seconds(computed(function, *inputs), arguments.repetitions)
+
     flops, bandwidth = machine_flops(seconds), machine_bandwidth(seconds)
     rows: list[dict[str, Any]] = [
         {"model": "the machine", "stage": f"product of {SIDE}² matrices", "GFLOP/s": flops / 1e9},
@@ -71,14 +72,11 @@ def run(arguments: argparse.Namespace) -> int:
     for row in rows:
         row["of the machine's GFLOP/s"] = row["GFLOP/s"] * 1e9 / flops if "GFLOP/s" in row else None
         row["of the machine's GB/s"] = row["GB/s"] * 1e9 / bandwidth if "GB/s" in row else None
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    print(
-        f"Stages of a fit, {arguments.batch} faces at once, on {cores} core{'' if cores == 1 else 's'}, warm, median "
-        f"of {arguments.repetitions}. jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}, "
-        f"{jax.devices()[0].device_kind}.\n"
+    about = (
+        f"Stages of a fit, {arguments.batch} faces at once, on {cores()} core{'' if cores() == 1 else 's'}, warm, "
+        f"median of {arguments.repetitions}."
     )
-    print(markdown_table(rows, COLUMNS))
-    return 0
+    report.table(rows, COLUMNS, above=about)
 
 
 def stages(cascade: Cascade, faces: int, seconds: Callable[..., float]) -> list[dict[str, Any]]:
@@ -100,7 +98,7 @@ def stages(cascade: Cascade, faces: int, seconds: Callable[..., float]) -> list[
 
     @jax.jit
     def regress(features: jax.Array, regressors: list[Regressor]) -> list[jax.Array]:
-        # All steps, lest the weights of a single one stay in the cache.
+        # All steps: the weights of a single one would stay in the cache.
         return [regressor.predict(features) for regressor in regressors]
 
     @jax.jit
@@ -154,7 +152,7 @@ def machine_flops(seconds: Callable[..., float]) -> float:
 
 def machine_bandwidth(seconds: Callable[..., float]) -> float:
     """Bytes read and written a second in a pass over memory."""
-    # In place, lest the pages of new memory are what is measured.
+    # In place: otherwise the pages of new memory would be what is measured.
     add_one = jax.jit(lambda numbers: numbers + 1.0, donate_argnums=0)
     numbers = [jnp.zeros(COPIED // FLOAT, jnp.float32)]
 
@@ -163,16 +161,6 @@ def machine_bandwidth(seconds: Callable[..., float]) -> float:
         return numbers[0]
 
     return 2 * COPIED / seconds(once_more)
-
-
-def median_seconds(repetitions: int, work: Callable[..., Any], *inputs: Any) -> float:
-    jax.block_until_ready(work(*inputs))
-    times = []
-    for _ in range(repetitions):
-        begin = time.perf_counter()
-        jax.block_until_ready(work(*inputs))
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Measure one method in a process of its own, which ``benchmark.py`` starts on the cores that it may use.
 
-It says ``ready``, waits for a line, measures, and ends with a line of JSON; those that tell how long a process takes to
-its first result neither say nor wait.
+It says ``ready``, waits for a line, measures, and ends with a line of JSON; the measures of a process's first result
+neither say it nor wait.
 """
 
 import json
@@ -15,14 +15,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from timing import median_seconds
 
 
 def main() -> None:
     job = json.loads(sys.argv[1])
-    measures = {"jaxfit": jaxfit_speed, "sizes": sizes_speed, "dlib": dlib_speed}
-    measures |= {"jaxfit first": jaxfit_first, "dlib first": dlib_first}
-    measure = measures[job.pop("measure")]
-    print(json.dumps(measure(**job)))
+    measures: dict[str, Callable[..., Any]] = {
+        **{"jaxfit": jaxfit_speed, "sizes": sizes_speed, "dlib": dlib_speed},
+        **{"jaxfit first": jaxfit_first, "dlib first": dlib_first},
+    }
+    print(json.dumps(measures[job.pop("measure")](**job)))
 
 
 def jaxfit_speed(model: str, faces: str, batches: list[int], repetitions: int) -> dict[str, Any]:
@@ -55,7 +57,7 @@ def jaxfit_speed(model: str, faces: str, batches: list[int], repetitions: int) -
 
 def crops_a_second(cascade: Any, crops: np.ndarray, batch: int, repetitions: int) -> float:
     """Faces a second, in batches of which some are computed at the same time, as `jaxfit.fit` does."""
-    import jaxfit
+    from jaxfit.cascade.fit import fit_crops
     from jaxfit.fitting.stream import computed_at_once
 
     crops, at_once = np.resize(crops, (batch, *crops.shape[1:])), computed_at_once()
@@ -63,7 +65,7 @@ def crops_a_second(cascade: Any, crops: np.ndarray, batch: int, repetitions: int
     with ThreadPoolExecutor(at_once) as pool:
 
         def fit_all() -> None:
-            list(pool.map(lambda _: np.asarray(jaxfit.fit_crops(cascade, crops)), range(calls)))
+            list(pool.map(lambda _: np.asarray(fit_crops(cascade, crops)), range(calls)))
 
         return calls * batch / median_seconds(fit_all, repetitions)
 
@@ -161,16 +163,6 @@ def wait_for_the_others() -> None:
     """Processes that are measured together begin together."""
     print("ready", flush=True)
     sys.stdin.readline()
-
-
-def median_seconds(work: Callable[[], Any], repetitions: int) -> float:
-    work()
-    times = []
-    for _ in range(repetitions):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times))
 
 
 def peak_mib() -> float:

@@ -61,7 +61,7 @@ RECIPES: dict[str, list[str]] = {
     ],
     "sdm68": ["jaxfit train --data {faces} --out {out}/sdm68.safetensors"],
     "parametric68": [
-        "jaxfit train --data {faces} --method parametric --initialisations 11 "
+        "jaxfit train --data {faces} --method parametric --starts 11 "
         "--windows 0.45 0.45 0.4 0.34 0.26 0.2 0.15 --out {out}/parametric68.safetensors",
     ],
     "regression68-3d": [
@@ -78,7 +78,7 @@ RECIPES: dict[str, list[str]] = {
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("models", nargs="*", metavar="MODEL", help=f"of {', '.join(RECIPES)} (default: all)")
     parser.add_argument("--data", required=True, metavar="DIR", help="where the data sets lie")
     parser.add_argument("--split", metavar="DIR", help="learn from its train, and measure on its test")

@@ -9,7 +9,8 @@ import jaxfit
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
-from jaxfit.learning.placements import frontal
+from jaxfit.labels.datasets import parse_spec
+from jaxfit.learning.placements import calibrate_boxes, frontal
 from jaxfit.models.files import check_target
 
 
@@ -26,8 +27,8 @@ def run(arguments: argparse.Namespace) -> int:
     model = jaxfit.load(arguments.model)
     (dataset,) = read_datasets([arguments.data], None)
     with Bars() as bars:
-        placement = jaxfit.calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
-    kind = dataset.spec.partition(":")[0]
+        placement = calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
+    kind = parse_spec(dataset.spec)[0]
     jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
     print(f"{arguments.out}: knows {kind} boxes, shift {placement.shift}, log scale {placement.log_scale:.3f}")
     return 0

@@ -20,34 +20,23 @@ import psutil
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from fit_many import make_pictures
+from fit_many import make_pictures, new_folder, pictures_parser
+from report import Report, measure
 
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed
-from jaxfit.cli.main import exit_code
 from jaxfit.errors import InputError
-from jaxfit.evaluation.tables import markdown_table
 
 _POLL = 0.2  # seconds
 _ORDER = [("image", "ascending"), ("face", "ascending")]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add_datasets(parser)
-    parser.add_argument("--count", type=int, default=10_000, metavar="N", help="pictures in all (default: 10000)")
-    parser.add_argument("--broken", type=float, default=0.05, metavar="SHARE", help="of them, broken (default: 0.05)")
+    parser = pictures_parser(__doc__)
     parser.add_argument("--workers", type=int, default=2, help="of jaxfit collect (default: 2)")
-    parser.add_argument("--seed", type=seed, default=0)
-    parser.add_argument("--folder", required=True, metavar="DIR", help="a new folder, for the pictures and results")
-    parser.add_argument("--fit", nargs=argparse.REMAINDER, default=[], help="all that follows goes to both commands")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
-    folder = Path(arguments.folder).absolute()
-    if folder.exists():
-        raise InputError(f"expected a new folder; {folder} exists")
-    sources = sorted({face.image for data in read_datasets(arguments.data, None) for face in data.faces})
+def run(arguments: argparse.Namespace, report: Report) -> int:
+    folder, sources = new_folder(arguments)
     pictures = folder / "pictures"
     make_pictures(pictures, sources, arguments.count, arguments.broken, arguments.seed)
 
@@ -72,24 +61,24 @@ def run(arguments: argparse.Namespace) -> int:
     runs["and started again"] = collect("all-killed")
     again = sum(path.stat().st_mtime_ns != written for path, written in before.items())
     columns = {"run": "", "seconds": ".0f", "cpu_seconds": ".0f", "of_workers": ".0f", "exit": ""}
-    print(markdown_table([{"run": name, **vars(each)} for name, each in runs.items()], columns))
+    report.table([{"run": name, **vars(each)} for name, each in runs.items()], columns)
     names = sorted(str(path) for path in pictures.iterdir() if path.is_file() or path.is_symlink())
     expected = pq.read_table(folder / "fitted" / "landmarks.parquet").sort_by(_ORDER)
     first, all_well = _faces(folder / "collected", expected), not again
     for name in ("collected", "worker-killed", "all-killed"):
-        faces, (once, told) = _faces(folder / name, expected), _accounted(folder / name, names)
+        faces, (once, outcomes) = _faces(folder / name, expected), _accounted(folder / name, names)
         all_well &= once and faces.equals(first)
-        print(
-            f"\n{name}: each picture is {'' if once else 'NOT '}in one part and once in the manifest: {told}. "
+        report.add(
+            f"{name}: each picture is {'' if once else 'NOT '}in one part and once in the manifest: {outcomes}. "
             f"{len(faces)} faces, {'' if faces.equals(first) else 'NOT '}those of the first run."
         )
     apart = _difference(first, expected)
-    print(f"\nOf the {len(expected)} faces of `jaxfit fit` they differ by at most {apart:.4f} pixels.")
+    report.add(f"Of the {len(expected)} faces of `jaxfit fit` they differ by at most {apart:.4f} pixels.")
     inwards = sum(path.stat().st_size for path in pictures.iterdir() if path.is_file())
     outwards = sum(path.stat().st_size for path in (*parts("collected"), folder / "collected" / "manifest.parquet"))
-    print(
-        f"\nOf {len(before)} parts that were there when all was killed, {again} were written again.\n"
-        f"Bytes a picture: {inwards / len(names):.0f} in, {outwards / len(names):.0f} out."
+    report.add(
+        f"Of {len(before)} parts that were there when all was killed, {again} were written again.",
+        f"Bytes a picture: {inwards / len(names):.0f} in, {outwards / len(names):.0f} out.",
     )
     return 0 if all_well else 1
 
@@ -142,7 +131,7 @@ def _run(
     began, used, workers = time.monotonic(), dict[psutil.Process, float](), set[psutil.Process]()
     with out.with_suffix(".log").open("a") as log:
         process = psutil.Popen(
-            [sys.executable, "-m", "jaxfit.cli.main", command, str(pictures), "--out", str(out), *options],
+            [sys.executable, "-m", "jaxfit", command, str(pictures), "--out", str(out), *options],
             stdout=log,
             stderr=subprocess.STDOUT,
         )

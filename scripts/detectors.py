@@ -1,4 +1,4 @@
-"""What a model makes of the boxes of each detector, in one, two and three passes of its cascade, as a table.
+"""Errors of a model from the boxes of each detector, in one, two and three passes of its cascade.
 
 Faces of --data are looked for in their pictures, fitted and measured; those that are not found count as failures.
 """
@@ -8,14 +8,13 @@ import sys
 import time
 
 import numpy as np
+from report import Report, measure, script_parser
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.detectors import detector_named
 from jaxfit.evaluation.evaluate import detected_boxes, evaluate, start_boxes
 from jaxfit.evaluation.statistics import summarise
-from jaxfit.evaluation.tables import markdown_table
 from jaxfit.models.files import load
 
 PASSES = (1, 2, 3)
@@ -25,14 +24,14 @@ COLUMNS |= {f"{measure}, {passes}": form for passes in PASSES for measure, form 
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = script_parser(__doc__)
     parser.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     add_datasets(parser)
     parser.add_argument("--detectors", nargs="+", default=["haar", "dlib", "whole"], help="as in jaxfit evaluate")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     model = load(arguments.model)
     datasets = read_datasets(arguments.data, arguments.scheme)
     shared_scheme(datasets)
@@ -54,9 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
                 summary = summarise(errors)
                 row |= {f"median, {passes}": summary.median, f"failure@0.08, {passes}": summary.failure}
             rows.append(row)
-    print(f"{len(faces)} faces; NMED over outer eye corners.\n")
-    print(markdown_table(rows, COLUMNS))
-    return 0
+    report.table(rows, COLUMNS, above=f"{len(faces)} faces; NMED over outer eye corners.")
 
 
 if __name__ == "__main__":

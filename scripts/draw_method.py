@@ -3,17 +3,20 @@
 import argparse
 import sys
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import matplotlib.cbook
 import matplotlib.pyplot as plt
 import numpy as np
+from report import save_figure
 
 import jaxfit
-from jaxfit.cascade.fit import starts_of
-from jaxfit.data.outputs import atomic_write
+from jaxfit.cascade import first_steps, fit_crops
+from jaxfit.cascade.starts import starts_of
 from jaxfit.evaluation.plots import plot_descriptor, plot_modes
+from jaxfit.heads import load_head_model
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
 from jaxfit.shapes.space import rotate
@@ -34,10 +37,11 @@ def main() -> int:
     face = jaxfit.detect_faces(image)[0]
     off = face.box + face.box[2] * np.array([0.12, -0.1, 0.15, 0.15])  # so that there is something to do
     crops, _ = jaxfit.crop_faces(model, [image], [off], kind=face.kind)
-    after = jaxfit.fit_crops(model.cascade, jnp.asarray(crops.pixels), every_step=True)[0]
-    space = model.cascade.space
+    counts = range(1, len(model.cascade.windows) + 1)
+    after = [fit_crops(first_steps(model.cascade, count), jnp.asarray(crops.pixels)) for count in counts]
+    space: Any = model.cascade.space  # an Active Shape Model's
     start = jax.tree.map(lambda part: part[0], starts_of(space, model.cascade.frame, jnp.zeros(1)))
-    path = jnp.concatenate([space.landmarks(space.place(start))[None], after])
+    path = jnp.concatenate([space.landmarks(space.place(start))[None], *after])
     draw_steps(model, crops.pixels[0], path)
     draw_descriptors(model, crops.pixels[0], path[-1])
     plot_modes(space.model, model.scheme)[0, 0].figure.set_size_inches(8, 5.5)
@@ -67,21 +71,22 @@ def draw_steps(model: jaxfit.Model, crop: np.ndarray, path: jax.Array) -> None:
 
 
 def draw_descriptors(model: jaxfit.Model, crop: np.ndarray, landmarks: jax.Array) -> None:
-    """What the first and the last step see of a landmark."""
+    """A landmark's descriptor in the first step and in the last."""
     space, windows = model.cascade.space, model.cascade.windows
+    descriptor: Any = model.cascade.descriptor  # SIFT
     params = space.encode(landmarks)
     _, axes = plt.subplots(1, 2, figsize=(8, 4), layout="constrained")
     for ax, step in zip(axes, (0, len(windows) - 1), strict=True):
         side = float(windows[step] * space.scale(params))
         angle = float(space.rotation(params))
-        plot_descriptor(model.cascade.descriptor, crop, landmarks[CORNER], side, angle, ax=ax)
+        plot_descriptor(descriptor, crop, landmarks[CORNER], side, angle, ax=ax)
         ax.set_title(f"step {step + 1}: {side:.0f} pixels", fontsize=10)
     save("descriptor")
 
 
 def draw_heads(scheme: Scheme) -> None:
     """The mean head of the 3D shape model before the camera, turned to both sides."""
-    mean = np.asarray(jaxfit.load_head_model().of(scheme, variance=0.95).mean)
+    mean = np.asarray(load_head_model().of(scheme, variance=0.95).mean)
     reach = 1.1 * np.linalg.norm(mean, axis=1).max()
     _, axes = plt.subplots(1, len(YAWS), figsize=(12, 2.2), layout="constrained")
     for ax, yaw in zip(axes, YAWS, strict=True):
@@ -96,8 +101,7 @@ def draw_heads(scheme: Scheme) -> None:
 
 
 def save(name: str) -> None:
-    with atomic_write(FOLDER / f"{name}.png") as file:
-        plt.savefig(file, format="png", dpi=90)
+    save_figure(plt.gcf(), FOLDER / f"{name}.png", dpi=90)
     plt.close()
 
 

@@ -19,31 +19,44 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from report import Report, measure, script_parser
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
-from jaxfit.cli.main import exit_code
 from jaxfit.errors import InputError
-from jaxfit.evaluation.tables import markdown_table
 
 _POLL = 0.2  # seconds
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    return measure(run, pictures_parser(__doc__).parse_args())
+
+
+def pictures_parser(about: str | None) -> argparse.ArgumentParser:
+    """A script's parser, with arguments for `make_pictures`, and for what fits them."""
+    parser = script_parser(about)
     add_datasets(parser)
     parser.add_argument("--count", type=int, default=10_000, metavar="N", help="pictures in all (default: 10000)")
     parser.add_argument("--broken", type=float, default=0.05, metavar="SHARE", help="of them, broken (default: 0.05)")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--folder", required=True, metavar="DIR", help="a new folder, for the pictures and results")
-    parser.add_argument("--fit", nargs=argparse.REMAINDER, default=[], help="all that follows goes to jaxfit fit")
-    return exit_code(run, parser.parse_args())
+    parser.add_argument("--fit", nargs=argparse.REMAINDER, default=[], help="all that follows goes to what fits")
+    return parser
 
 
-def run(arguments: argparse.Namespace) -> int:
-    folder = Path(arguments.folder)
+def new_folder(arguments: argparse.Namespace) -> tuple[Path, list[Path]]:
+    """The folder to make, and the datasets' pictures.
+
+    Raises:
+        InputError: there is such a folder.
+    """
+    folder = Path(arguments.folder).absolute()
     if folder.exists():
         raise InputError(f"expected a new folder; {folder} exists")
-    sources = sorted({face.image for data in read_datasets(arguments.data, None) for face in data.faces})
+    return folder, sorted({face.image for data in read_datasets(arguments.data, None) for face in data.faces})
+
+
+def run(arguments: argparse.Namespace, report: Report) -> int:
+    folder, sources = new_folder(arguments)
     tenth, whole = folder / "tenth", folder / "whole"
     broken = make_pictures(whole, sources, arguments.count, arguments.broken, arguments.seed)
     make_pictures(tenth, sources, arguments.count // 10, arguments.broken, arguments.seed)
@@ -62,13 +75,14 @@ def run(arguments: argparse.Namespace) -> int:
     names = {str(path) for path in whole.iterdir() if path.is_file()}
     kinds = Counter(broken[Path(image).name] for image in problems if Path(image).name in broken)
     rows = [{"run": name, **vars(each)} for name, each in runs.items()]
-    columns = {"run": "", "seconds": ".0f", "peak_mib": ".0f", "exit": ""}
-    print(markdown_table(rows, columns))
-    told = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
-    print(f"""
-{len(names)} pictures: {len(fits)} with faces, {len(problems)} with a problem, {len(fits & problems)} with both,
-{len(names - fits - problems)} with neither. The killed run's tables are {"" if same else "NOT "}those of the other.
-Broken pictures: {len(broken)}; reported: {sum(kinds.values())} ({told}).""")
+    report.table(rows, {"run": "", "seconds": ".0f", "peak_mib": ".0f", "exit": ""})
+    of_kinds = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
+    report.add(
+        f"{len(names)} pictures: {len(fits)} with faces, {len(problems)} with a problem, {len(fits & problems)} with "
+        f"both, {len(names - fits - problems)} with neither. The killed run's tables are {'' if same else 'NOT '}those "
+        "of the other.",
+        f"Broken pictures: {len(broken)}; reported: {sum(kinds.values())} ({of_kinds}).",
+    )
     return 0 if same and not names - fits - problems else 1
 
 
@@ -82,17 +96,7 @@ class _Run:
 
 
 def _fitted(pictures: Path, out: Path, options: list[str], kill_after: float | None = None) -> _Run:
-    command = [
-        sys.executable,
-        "-m",
-        "jaxfit.cli.main",
-        "fit",
-        str(pictures),
-        "--out",
-        str(out),
-        "--no-overlays",
-        *options,
-    ]
+    command = [sys.executable, "-m", "jaxfit", "fit", str(pictures), "--out", str(out), "--no-overlays", *options]
     began = time.monotonic()
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     peak = 0.0
@@ -115,7 +119,7 @@ def _fitted(pictures: Path, out: Path, options: list[str], kill_after: float | N
 
 
 def _resident(process: int) -> float:
-    """Memory that a process holds, in MiB; where the system tells it as Linux does."""
+    """Memory that a process holds, in MiB; 0 where the system is not Linux."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     except (OSError, IndexError):

@@ -25,10 +25,12 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from report import Report, measure, script_parser
 from scipy.io import savemat
 
 import jaxfit
-from jaxfit.cli.arguments import seed
+from jaxfit.cascade import Greedy
+from jaxfit.cli.arguments import out_folder, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.detectors.whole import Whole
@@ -36,7 +38,6 @@ from jaxfit.data.pictures import decode_image, write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.data.videos import Video, write_video
 from jaxfit.errors import JaxfitError
-from jaxfit.evaluation.tables import markdown_table
 from jaxfit.experiments import read_config
 from jaxfit.heads.model import load_head_model, save_head_model
 from jaxfit.labels.datasets import read_dataset
@@ -74,21 +75,17 @@ class Target(NamedTuple):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, out="findings")
     parser.add_argument("--count", type=int, default=20_000, metavar="N", help="inputs in all (default: 20000)")
     parser.add_argument("--only", nargs="+", choices=TARGETS, default=list(TARGETS), help="what to try")
     parser.add_argument("--seed", type=seed, default=0)
-    parser.add_argument("--out", required=True, metavar="DIR", help="where findings are kept")
     parser.add_argument("--worker", nargs=2, type=int, metavar=("FIRST", "LAST"), help=argparse.SUPPRESS)
-    return exit_code(run, parser.parse_args())
+    arguments = parser.parse_args()
+    return exit_code(_work, arguments) if arguments.worker else measure(run, arguments)
 
 
-def run(arguments: argparse.Namespace) -> int:
-    out = Path(arguments.out)
-    out.mkdir(parents=True, exist_ok=True)
-    if arguments.worker:
-        _work(arguments.only[0], *arguments.worker, arguments.seed, out)
-        return 0
+def run(arguments: argparse.Namespace, report: Report) -> int:
+    out = out_folder(arguments.out)
     each = -(-arguments.count // len(arguments.only))
     rows = []
     for name in arguments.only:
@@ -100,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
     columns = {"target": "", "inputs": "d", _READ: "d", _PART: "d", _REFUSED: "d", _FOUND: "d"}
     total = {key: sum(row[key] for row in rows) for key in columns if key != "target"}
-    print(markdown_table([*rows, {"target": "all", **total}], columns))
+    report.table([*rows, {"target": "all", **total}], columns)
     return 1 if total[_FOUND] else 0
 
 
@@ -118,9 +115,9 @@ def _tried(name: str, count: int, seed: int, out: Path) -> Counter[str]:
             if (now := out / "now").exists() and time.time() - now.stat().st_mtime > 2 * _LIMIT:
                 process.kill()
                 process.wait()
-        told = json.loads((out / "outcomes.json").read_text()) if (out / "outcomes.json").exists() else {}
-        outcomes.update(told)
-        first += sum(told.values())
+        counted = json.loads((out / "outcomes.json").read_text()) if (out / "outcomes.json").exists() else {}
+        outcomes.update(counted)
+        first += sum(counted.values())
         if process.returncode != 0 and first < count:
             if not (out / "now").exists():
                 raise RuntimeError(f"{name}: the process could not begin")
@@ -130,8 +127,9 @@ def _tried(name: str, count: int, seed: int, out: Path) -> Counter[str]:
     return outcomes
 
 
-def _work(name: str, first: int, last: int, seed: int, out: Path) -> None:
-    """Try some inputs; what became of them is written as it goes."""
+def _work(arguments: argparse.Namespace) -> int:
+    """Try some inputs; how each ended is written at once."""
+    name, (first, last), out = arguments.only[0], arguments.worker, Path(arguments.out)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +139,7 @@ def _work(name: str, first: int, last: int, seed: int, out: Path) -> None:
                 raise RuntimeError(f"{name}: a seed is not read")
         outcomes: Counter[str] = Counter()
         for number in range(first, last):
-            data = mutated(target.seeds, np.random.default_rng([seed, number]))
+            data = mutated(target.seeds, np.random.default_rng([arguments.seed, number]))
             (out / "now").write_bytes(data)
             began = time.monotonic()
             try:
@@ -158,6 +156,7 @@ def _work(name: str, first: int, last: int, seed: int, out: Path) -> None:
             outcomes[outcome] += 1
             (out / "outcomes.tmp").write_text(json.dumps(outcomes))
             (out / "outcomes.tmp").replace(out / "outcomes.json")
+    return 0
 
 
 def mutated(seeds: list[bytes], rng: np.random.Generator) -> bytes:
@@ -167,7 +166,7 @@ def mutated(seeds: list[bytes], rng: np.random.Generator) -> bytes:
         at = int(rng.integers(len(data) + 1))
         # Headers say more than what follows.
         at = at if rng.random() < 0.5 else min(at, int(rng.integers(1, 257)))
-        length = int(min(2 ** rng.integers(0, 12), len(data) - at))
+        length = min(2 ** int(rng.integers(0, 12)), len(data) - at)
         match rng.integers(8):
             case 0 if at < len(data):
                 data[at] ^= 1 << int(rng.integers(8))
@@ -317,7 +316,7 @@ def _small_model(folder: Path) -> jaxfit.Model:
         faces.append(
             FaceRecord(folder / f"face{number}.png", points, present, present, None, None, str(number), str(number))
         )
-    options = Options(windows=(0.3,), augmentations=1, rank=2, haar=False)
+    options = Options(greedy=Greedy(windows=(0.3,), augmentations=1, rank=2), haar=False)
     return train(faces, IBUG68, options=options).model
 
 

@@ -1,27 +1,23 @@
 """By how many pixels labels lie right of what they mark: where faces are symmetric, and where their labels are.
 
 Labels may count a picture's pixels from 0, from 1, or from their corners, and copies of a dataset may have been cut
-differently from their labels. Mirrored pictures tell: what lies a pixel too far right in one lies so to the left in the
-other. For faces that look at the camera, the gradients of the picture are compared with those of its mirror image about
-the labels' axis, moved by so many pixels; the axis about which most of them agree is the picture's.
+differently from their labels. Mirrored pictures show it: what lies a pixel too far right in one lies as far to the left
+in the other. For faces that look at the camera, the gradients of the picture are compared with those of its mirror
+image about the labels' axis, moved by so many pixels; the axis about which most of them agree is the picture's.
 
 Labels are read as `jaxfit train` reads them. What this finds is for its `--shift`, which assumes the same downwards.
 """
 
 import argparse
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
-from compare_models import write_report
+from report import Report, dataset_names, measure, script_parser
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
-from jaxfit.cli.main import exit_code
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
-from jaxfit.evaluation.tables import markdown_table
-from jaxfit.labels.datasets import parse_spec
 from jaxfit.labels.records import Dataset
 
 SHIFTS = np.arange(-4.0, 4.01, 0.5)  # of the axis, in pixels
@@ -31,17 +27,16 @@ SAMPLES = 200  # of the bootstrap
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__)
     add_datasets(parser)
     parser.add_argument("--faces", type=int, default=900, help="that are looked at, of each dataset")
     parser.add_argument("--seed", type=seed, default=0, help="of the bootstrap")
-    parser.add_argument("--report", metavar="FILE.md", help="replace the figures in this page, or write it")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
-    rows = []
-    for dataset in read_datasets(arguments.data, arguments.scheme):
+def run(arguments: argparse.Namespace, report: Report) -> None:
+    datasets, rows = read_datasets(arguments.data, arguments.scheme), []
+    for name, dataset in zip(dataset_names(datasets), datasets, strict=True):
         if dataset.scheme.mirror is None:
             raise InputError(f"{dataset.spec}: landmarks that are not known to be symmetric")
         likeness, sides = likenesses(dataset, arguments.faces)
@@ -49,7 +44,6 @@ def run(arguments: argparse.Namespace) -> int:
             raise InputError(f"{dataset.spec}: expected two faces or more that look at the camera")
         rng = np.random.default_rng(arguments.seed)
         drawn = [peak(likeness[rng.integers(0, len(likeness), len(likeness))].mean(0)) for _ in range(SAMPLES)]
-        name = Path(parse_spec(dataset.spec)[2]).name
         rows.append(
             {
                 "dataset": name,
@@ -66,10 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         "labels lie to the right by, pixels": ".2f",
         "±": ".2f",
     }
-    print(table := markdown_table(rows, columns))
-    if arguments.report:
-        write_report(Path(arguments.report), [f"{table}\n"])
-    return 0
+    report.table(rows, columns)
 
 
 def likenesses(dataset: Dataset, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +98,7 @@ def axis(landmarks: np.ndarray, mirror: np.ndarray) -> tuple[np.ndarray, float, 
 def symmetry(grey: np.ndarray, middle: np.ndarray, degrees: float, side: float) -> float:
     """How alike a picture and its mirror image are around a point, from -1 to 1."""
     width = int(side * 1.1) // 2 * 2 + 1
-    turn = cv2.getRotationMatrix2D((float(middle[0]), float(middle[1])), degrees, 1.0)
+    turn: np.ndarray = cv2.getRotationMatrix2D((float(middle[0]), float(middle[1])), degrees, 1.0)
     turn[:, 2] += (width - 1) / 2 - middle
     part = cv2.warpAffine(grey, turn, (width, width), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     part = cv2.GaussianBlur(part, (0, 0), 1.0)

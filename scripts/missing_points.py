@@ -10,15 +10,13 @@ from the same boxes.
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from compare_models import write_report
+from report import ERROR_COLUMNS, Report, error_row, measure, script_parser
 
 import jaxfit
 from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, training_options
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.pictures import GreyPictures
@@ -27,8 +25,7 @@ from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.evaluation.statistics import signed_rank, summarise
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.lifting import fill_labels
 from jaxfit.labels.records import FaceRecord
@@ -40,16 +37,15 @@ YAW = 2
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__)
     add_datasets(parser)
     add_training(parser)
     parser.add_argument("--folds", type=int, default=5, help="one of so many parts of the people is tested")
     parser.add_argument("--epochs", type=int, default=jaxfit.Tuning.epochs, help="of fine-tuning")
-    parser.add_argument("--report", metavar="FILE.md", help="replace the figures in this page, or write it")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     (dataset,) = read_datasets(arguments.data, arguments.scheme)
     tested = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed) == 0
     learned, test = ([face for face, of in zip(dataset.faces, tested, strict=True) if of == part] for part in (0, 1))
@@ -58,12 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(
             f"{dataset.spec}: expected faces with all landmarks and a pose among those to be tested; got none"
         )
-    models = trained(learned, dataset.scheme, arguments)
-    tables = tested_on(models, test, dataset.scheme)
-    print("\n".join(tables))
-    if arguments.report:
-        write_report(Path(arguments.report), tables)
-    return 0
+    add_tests(report, trained(learned, dataset.scheme, arguments), test, dataset.scheme)
 
 
 def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Namespace) -> dict[str, Model]:
@@ -71,7 +62,7 @@ def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Nam
     options = training_options(arguments, scheme, "sdm")
     tuning, read = jaxfit.Tuning(epochs=arguments.epochs, seed=arguments.seed), GreyPictures()
     complete = [face for face in faces if face.complete]
-    filled = fill_labels(faces, scheme, load_head_model(arguments.head)).faces
+    filled = fill_labels(faces, scheme, load_head_model(arguments.head_model)).faces
     models = {}
     with Bars() as bars:
         for name, given, ways in (
@@ -86,8 +77,8 @@ def trained(faces: Sequence[FaceRecord], scheme: Scheme, arguments: argparse.Nam
     return models
 
 
-def tested_on(models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Scheme) -> list[str]:
-    """A table of errors on complete faces, and one by yaw."""
+def add_tests(report: Report, models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Scheme) -> None:
+    """Add a table of errors on complete faces, and one by yaw."""
     boxes, read = start_boxes(faces), GreyPictures()
     pictures = [read(face.image) for face in faces]
     truth = np.stack([face.landmarks for face in faces])
@@ -95,7 +86,9 @@ def tested_on(models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Sch
     yaw = np.abs([np.nan if face.pose is None else face.pose[YAW] for face in faces])
     sides = np.array([bounding_square(points)[2] for points in truth])
     subjects = np.array([face.subject for face in faces])
-    of_complete, by_yaw, first = [], [], {}
+    of_complete: list[dict[str, Any]] = []
+    by_yaw: list[dict[str, Any]] = []
+    first: dict[str, np.ndarray] = {}
     for name, model in models.items():
         found = jaxfit.fit(model, pictures, boxes).landmarks
         errors = nmed(found[complete], truth[complete], scheme)
@@ -103,11 +96,9 @@ def tested_on(models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Sch
         # Without a fit they are NaN, and as wrong as can be.
         shares = np.nan_to_num(distances.sum(1) / known.sum(1) / sides, nan=np.inf)
         first = first or {"complete": errors, "shares": shares}
-        all_of_them = summarise(errors)
-        row: dict[str, Any] = {"learned from": name, "median NMED": all_of_them.median, "AUC": all_of_them.auc}
-        row |= {"failures, %": 100 * all_of_them.failure, "p": against(errors, first["complete"], subjects[complete])}
-        of_complete.append(row)
-        row = {"learned from": name}
+        p = against(errors, first["complete"], subjects[complete])
+        of_complete.append({"learned from": name, **error_row(errors), "p": p})
+        row: dict[str, Any] = {"learned from": name}
         for low, high in BANDS:
             band = (yaw >= low) & (yaw < high)
             if not band.any():
@@ -117,13 +108,14 @@ def tested_on(models: dict[str, Model], faces: Sequence[FaceRecord], scheme: Sch
             if (low, high) in BANDS[-2:]:
                 row[f"p {low}–{high}°"] = against(shares[band], first["shares"][band], subjects[band])
         by_yaw.append(row)
-    columns = {"learned from": "", "median NMED": ".4f", "AUC": ".3f", "failures, %": ".1f", "p": ".1g"}
-    formats = {key: ".1g" if key.startswith("p ") else "" for key in by_yaw[0]}
-    return [
-        f"Complete faces ({complete.sum()}), against the first row:\n\n{markdown_table(of_complete, columns)}\n",
-        f"Labelled points of all faces by |yaw|: median error, and how many exceed {LIMIT:.0%} of the square's side, "
-        f"against the first row:\n\n{markdown_table(by_yaw, formats)}\n",
-    ]
+    columns = {"learned from": "", **ERROR_COLUMNS, "p": ".1g"}
+    report.table(of_complete, columns, above=f"Complete faces ({complete.sum()}), against the first row:")
+    report.table(
+        by_yaw,
+        {key: ".1g" if key.startswith("p ") else "" for key in by_yaw[0]},
+        above=f"Labelled points of all faces by |yaw|: median error, and how many exceed {LIMIT:.0%} of the square's "
+        "side, against the first row:",
+    )
 
 
 def against(errors: np.ndarray, first: np.ndarray, subjects: np.ndarray) -> float | None:

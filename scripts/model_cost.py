@@ -1,20 +1,20 @@
 """Size and cost of one cascade step by method and number of points (thesis 3.2.1)."""
 
 import argparse
-import platform
-import time
+import sys
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from report import Report, measure, script_parser
+from timing import computed, median_seconds
 
-import jaxfit
 from jaxfit.cascade.state import State, advanced, features_of, state_of
 from jaxfit.cli.arguments import read_datasets
 from jaxfit.data.boxes import bounding_square
 from jaxfit.descriptors.descriptor import Descriptor
-from jaxfit.evaluation.tables import markdown_table
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.shapes.space import ShapeSpace, Start
 
@@ -31,12 +31,15 @@ COLUMNS = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+def main() -> int:
+    parser = script_parser(__doc__)
     parser.add_argument(
         "--data", nargs="+", required=True, metavar="SPEC", help="one dataset for each number of points"
     )
-    arguments = parser.parse_args()
+    return measure(run, parser.parse_args())
+
+
+def run(arguments: argparse.Namespace, report: Report) -> None:
     rows = []
     for dataset in read_datasets(arguments.data, None):
         faces = np.stack([face.landmarks for face in dataset.faces if face.complete])
@@ -47,11 +50,7 @@ def main() -> None:
             if not method.aligns:
                 space = method.learn_space(relative, dataset.scheme, Options(), method.descriptor.frame.face)
                 rows.append({"points": faces.shape[1], "method": name, **cost(space, method.descriptor)})
-    print(
-        f"One step of one face. jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}, "
-        f"{jax.devices()[0].device_kind}, {FACES} faces a batch, median of {REPETITIONS}.\n"
-    )
-    print(markdown_table(rows, COLUMNS))
+    report.table(rows, COLUMNS, above=f"One step of one face; {FACES} faces a batch, median of {REPETITIONS}.")
 
 
 def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
@@ -67,36 +66,30 @@ def cost(space: ShapeSpace, descriptor: Descriptor) -> dict[str, object]:
     prepared = jax.jit(jax.vmap(descriptor.prepare))(crops)
     window = jnp.float32(0.25 * frame.face)
 
-    def describe(prepared, states: State):
+    def describe(prepared: Any, states: State) -> jax.Array:
         return features_of(descriptor, space, prepared, states, window)
 
-    def regress(seen, states: State) -> State:
-        return jax.vmap(jax.vmap(partial(advanced, descriptor, space)))(states, seen @ weights)
+    def regress(found: jax.Array, states: State) -> State:
+        return jax.vmap(jax.vmap(partial(advanced, descriptor, space)))(states, found @ weights)
 
     batched = jax.jit(describe)
     step = jax.jit(lambda prepared, states: regress(describe(prepared, states), states))
-    seen = batched(prepared, states)
+    found = batched(prepared, states)
     # From parameters to landmarks, as compiled: nothing for SDM, whose parameters are the landmarks.
-    geometry = jax.jit(space.landmarks).lower(state.params).compile().cost_analysis().get("flops", 0)
+    geometry = (jax.jit(space.landmarks).lower(state.params).compile().cost_analysis() or {}).get("flops", 0)
     return {
         "state": space.size,
         "parameters": (features + 1) * space.size,
         "multiply-adds": features * space.size + int(geometry / 2),
-        "regression µs": microseconds(jax.jit(regress), seen, states),
+        "regression µs": microseconds(jax.jit(regress), found, states),
         "descriptors µs": microseconds(batched, prepared, states),
         "step µs": microseconds(step, prepared, states),
     }
 
 
-def microseconds(function, *inputs) -> float:
-    jax.block_until_ready(function(*inputs))
-    times = []
-    for _ in range(REPETITIONS):
-        begin = time.perf_counter()
-        jax.block_until_ready(function(*inputs))
-        times.append(time.perf_counter() - begin)
-    return float(np.median(times)) / FACES * 1e6
+def microseconds(function: Any, *inputs: Any) -> float:
+    return median_seconds(computed(function, *inputs), REPETITIONS) / FACES * 1e6
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

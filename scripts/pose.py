@@ -5,22 +5,19 @@ those is measured on frontal pictures of all other subjects than the one that is
 """
 
 import argparse
-import platform
 import sys
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 
-import jax
 import numpy as np
 from matplotlib import pyplot
+from report import Report, measure, save_figure, script_parser
 from scipy.spatial.transform import Rotation
 
 import jaxfit
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import Evaluation
@@ -45,32 +42,23 @@ GROUPS = 8  # of faces by landmark error
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, out="tables and figures")
     parser.add_argument("models", nargs="+", metavar="NAME=MODEL", help="3D models, compared with one another")
     add_datasets(parser)
-    parser.add_argument("--out", required=True, metavar="DIR", help="where tables and figures go")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     models = named_models(arguments.models)
     folder = out_folder(arguments.out)
-    parts = [
-        f"# Head pose: {folder.name}",
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}. Degrees; faces without a fit "
-        "count in the median.",
-    ]
+    report.title = f"Head pose: {folder.name}"
+    report.add("Degrees; faces without a fit count in the median.")
     datasets = read_datasets(arguments.data, arguments.scheme)
     formats = [dataset.spec.partition(":")[0] for dataset in datasets]
     if len(set(formats)) < len(formats):
         raise InputError(f"expected datasets of different formats, which name the figures; got {' '.join(formats)}")
     for dataset in datasets:
-        parts += report(models, dataset, folder)
-    text = "\n\n".join(parts) + "\n"
-    with atomic_write(folder / "pose.md", "w") as file:
-        file.write(text)
-    print(text, end="")
-    return 0
+        add_dataset(report, models, dataset, folder)
 
 
 def named_models(texts: Sequence[str]) -> dict[str, Model]:
@@ -87,16 +75,18 @@ def named_models(texts: Sequence[str]) -> dict[str, Model]:
     return models
 
 
-def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[str]:
-    """What is said of a dataset; its figures go into the folder."""
+def add_dataset(report: Report, models: Mapping[str, Model], dataset: Dataset, folder: Path) -> None:
+    """Add the tables of a dataset; its figures go into the folder."""
     name = dataset.spec.partition(":")[0]
     with Bars() as bars:
         results = evaluate_pose(models, dataset, progress=bars)
-    report_problems([*dataset.problems, *(why for result in results.values() for why in result.problems.values())])
+    report_problems(
+        [*dataset.problems, *(str(problem) for result in results.values() for problem in result.fits.problems)]
+    )
     rows = [{"model": label, **row} for label, result in results.items() for row in rows_with_beyond(result)]
     people = np.unique([face.subject for face in dataset.faces])
     heading = f"## {name}: {len(dataset.faces)} faces of {len(people)} people"
-    parts = [heading, markdown_table(rows, {"model": "", **POSE_COLUMNS})]
+    report.table(rows, {"model": "", **POSE_COLUMNS}, above=heading)
     errors = {label: pose_errors(result.ordered_pose, result.true_pose) for label, result in results.items()}
     tests = [
         {"model": other, "compared with": one, **row}
@@ -105,10 +95,11 @@ def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[
     ]
     if tests:
         columns = {"model": "", "compared with": "", "angle": "", **COMPARISON_COLUMNS}
-        told = "Tests of absolute errors; the signed-rank test takes the pictures of one person together:"
-        parts.append(f"{told}\n\n{markdown_table(tests, columns)}")
+        above = "Tests of absolute errors; the signed-rank test takes the pictures of one person together:"
+        report.table(tests, columns, above=above)
     centres = grid_centres(next(iter(results.values())).true_pose)
-    parts += [fitted_by_true(results, angle, bins) for angle, bins in zip(("pitch", "yaw"), centres, strict=True)]
+    for angle, bins in zip(("pitch", "yaw"), centres, strict=True):
+        report.add(fitted_by_true(results, angle, bins))
     for label, result in results.items():
         figure = pyplot.figure(figsize=(11, 4.5), layout="constrained")
         for column, angle in enumerate(("pitch", "yaw"), 1):
@@ -116,23 +107,22 @@ def report(models: Mapping[str, Model], dataset: Dataset, folder: Path) -> list[
             ax = figure.add_subplot(1, 2, column, projection="3d")
             plot_pose_surface(grid, ax, f"{label}: {angle} error")
             title = f"### {name}, {label}: mean absolute {angle} error by true pitch (rows) and yaw"
-            parts.append(f"{title}\n\n{pose_grid_table(grid)}")
-        figure.savefig(folder / f"{name}-{label}.png", dpi=70)
+            report.add(title, pose_grid_table(grid))
+        save_figure(figure, folder / f"{name}-{label}.png", dpi=70)
         pyplot.close(figure)
-        parts.append(f"![the two tables as surfaces]({name}-{label}.png)")
+        report.add(f"![the two tables as surfaces]({name}-{label}.png)")
     if dataset.scheme == IBUG68:
-        parts.append(against_landmarks(results, folder / f"{name}-geometry.png"))
-    return parts
+        report.add(against_landmarks(results, folder / f"{name}-geometry.png"))
 
 
 def rows_with_beyond(result: Evaluation) -> list[dict[str, object]]:
     """The rows of ``pose_rows``, and those of the faces that are turned farther."""
     subjects = subjects_of(result)
-    poses = result.ordered_pose, result.true_pose
-    beyond = np.abs(result.true_pose[:, ANGLES.index("yaw")]) > 45
-    farther = pose_rows(*(pose[beyond] for pose in poses), subjects[beyond])
+    fitted, truth = result.ordered_pose, result.true_pose
+    beyond = np.abs(truth[:, ANGLES.index("yaw")]) > 45
+    farther = pose_rows(fitted[beyond], truth[beyond], subjects[beyond])
     return [
-        *pose_rows(*poses, subjects),
+        *pose_rows(fitted, truth, subjects),
         *({**row, "range": "|yaw| > 45°"} for row in farther if row["range"] == "all"),
     ]
 
@@ -191,7 +181,7 @@ def against_landmarks(results: Mapping[str, Evaluation], path: Path) -> str:
     )
     ax.legend()
     ax.grid(alpha=0.3)
-    figure.savefig(path, dpi=80)
+    save_figure(figure, path, dpi=80)
     pyplot.close(figure)
     return (
         f"Median angle between fitted and true rotation by landmark error (of the bounding square), {GROUPS} groups "

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
-from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, add_head_model, out_folder, read_datasets, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import bounding_square, box_centre
@@ -30,7 +30,7 @@ from jaxfit.data.pts import write_pts
 from jaxfit.errors import ImageError, InputError
 from jaxfit.heads.facekit import FaceKit, facekit_points, read_facekit, sample_heads
 from jaxfit.heads.mesh_points import MeshPoints
-from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.heads.model import load_head_model
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import IBUG68
@@ -108,9 +108,7 @@ def main() -> int:
     parser.add_argument(
         "--facekit", metavar="FILE", required=True, help="ICT-FaceKit as one .npz file, see jaxfit.heads.facekit"
     )
-    parser.add_argument(
-        "--head", default=DEFAULT_HEAD_MODEL, help="3D shape model made of it; the bundled one by default"
-    )
+    add_head_model(parser)
     parser.add_argument("--most", type=int, metavar="N", help="faces of each dataset, spread evenly over it")
     parser.add_argument("--per-subject", type=int, metavar="N", help="faces of each subject, spread evenly")
     parser.add_argument(
@@ -138,11 +136,11 @@ def run(arguments: argparse.Namespace) -> int:
             # The name of the source, not the pose: pictures of one subject must stay together.
             if faces.setdefault(f"{folder}_{face.face}", face) is not face:
                 raise InputError(f"--data: two faces would be called {folder}_{face.face}; rename a folder")
-    model = load_head_model(arguments.head).of(IBUG68, VARIANCE)
+    model = load_head_model(arguments.head_model).of(IBUG68, VARIANCE)
     dense = learn_dense_head(read_facekit(arguments.facekit), model)
     out = out_folder(arguments.out)
     require_same_settings(
-        out / "settings.json", {"seed": arguments.seed, "head": arguments.head, "turn": arguments.turn}
+        out / "settings.json", {"seed": arguments.seed, "head": arguments.head_model, "turn": arguments.turn}
     )
     with Bars() as bars:
         for done, (name, face) in enumerate(faces.items(), 1):

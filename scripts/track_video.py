@@ -6,28 +6,26 @@ run goes on where it was: results of each video are kept in ``--out``.
 
 import argparse
 import json
-import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from typing import NamedTuple
 
 import cv2
-import jax
 import numpy as np
+from report import Report, dataset_names, measure, script_parser
 
 import jaxfit
 from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
-from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
-from jaxfit.evaluation.tables import markdown_table
+from jaxfit.fitting import OneEuro, Tracker
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.normalisers import normaliser_length
 from jaxfit.schemes.scheme import Scheme
@@ -70,33 +68,32 @@ class Clip:
     def in_view(self) -> np.ndarray:
         """(frames, people) bool: who is wholly in the picture."""
         height, width = self.frames[0].shape
-        return ((self.truth >= 0) & (self.truth < [width, height])).all((2, 3))
+        return np.all((self.truth >= 0) & (self.truth < [width, height]), axis=(2, 3))
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A face that a method reports."""
+class Reported(NamedTuple):
+    """The faces that a method reports in a frame: whose they are (n,), and their landmarks (n, L, 2)."""
 
-    id: int
+    ids: np.ndarray
     landmarks: np.ndarray
 
 
-Method = Callable[[Sequence[np.ndarray]], list[list[Seen]]]
+Frames = Sequence[np.ndarray]
+Method = Callable[[Frames], list[Reported]]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = script_parser(__doc__, out="results")
     add_datasets(parser)
     parser.add_argument("--model", default="fast68")
     parser.add_argument("--detector", default="haar")
     parser.add_argument("--redetect-every", type=int, default=10, metavar="N")
     parser.add_argument("--videos", type=int, default=10, help="of each motion")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", required=True, metavar="DIR", help="where results go")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
     model = jaxfit.load(arguments.model)
@@ -104,7 +101,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise InputError(f"expected labels like the model's, {model.scheme.name}; got {scheme.name}: see --scheme")
     folder = out_folder(arguments.out)
     settings = {key: value for key, value in sorted(vars(arguments).items()) if key not in ("data", "out")}
-    settings["datasets"] = [Path(dataset.spec.partition(":")[2]).name for dataset in datasets]
+    settings["datasets"] = dataset_names(datasets)
     require_same_settings(folder / "settings.json", settings)
     rng = np.random.default_rng(arguments.seed)
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
@@ -112,7 +109,7 @@ def run(arguments: argparse.Namespace) -> int:
     pairs = list(zip(chosen[::2], chosen[1::2], strict=True))
     methods: dict[str, Method] = {
         "tracked": partial(tracked, model, arguments, None),
-        "tracked, smoothed": partial(tracked, model, arguments, jaxfit.OneEuro()),
+        "tracked, smoothed": partial(tracked, model, arguments, OneEuro()),
         "each frame by itself": partial(detected, model, arguments.detector),
     }
     kinds = [*MOTIONS, "cut", "pair"]
@@ -126,7 +123,9 @@ def run(arguments: argparse.Namespace) -> int:
                     clip = make(motion, pair, np.random.default_rng([arguments.seed, number, step]))
                     for method in methods.values():
                         method(clip.frames[:1])  # compiles
-                    measured = [{"method": name, **measure(method, clip, scheme)} for name, method in methods.items()]
+                    measured = [
+                        {"method": name, **measured_on(clip, method, scheme)} for name, method in methods.items()
+                    ]
                     with atomic_write(path, "w") as file:
                         json.dump(measured, file)
                 rows += [{"motion": motion, **row} for row in json.loads(path.read_text(encoding="utf-8"))]
@@ -142,19 +141,12 @@ def run(arguments: argparse.Namespace) -> int:
     about = (
         f"{len(pairs)} videos of each of {len(kinds)} motions, {FRAMES} frames of {WIDTH} x {HEIGHT} pixels at "
         f"{RATE:.0f} a second, faces of {FACE:.0f} pixels from {' and '.join(settings['datasets'])}, "
-        f"{arguments.model}, {arguments.detector}.\n"
-        f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, {platform.machine()}."
+        f"{arguments.model}, {arguments.detector}."
     )
     formats = {"method": "", "good": ".1%", "fair": ".1%", "switches": "d", "again": "", "false": ".1f"}
     formats |= {"jitter": ".4f", "lag": ".0f", "moving NMED": ".4f", "frames/s": ".0f"}
-    tables = [
-        markdown_table(by_method, formats),
-        markdown_table(by_motion, {"motion": "", **dict.fromkeys(methods, "")}),
-    ]
-    with atomic_write(folder / "table.md", "w") as file:
-        file.write("\n\n".join([about, *tables]) + "\n")
-    print((folder / "table.md").read_text(encoding="utf-8"), end="")
-    return 0
+    report.table(by_method, formats, above=about)
+    report.table(by_motion, {"motion": "", **dict.fromkeys(methods, "")})
 
 
 def make(motion: str, pair: tuple[FaceRecord, FaceRecord], rng: np.random.Generator) -> Clip:
@@ -203,44 +195,46 @@ def moving(
     return frames, np.array(truth)
 
 
-def tracked(model: jaxfit.Model, arguments, smoothing: jaxfit.OneEuro | None, frames) -> list[list[Seen]]:
-    tracker = jaxfit.Tracker(model, arguments.detector, redetect_every=arguments.redetect_every, smoothing=smoothing)
-    return [[Seen(f.id, f.landmarks) for f in tracker.update(frame, k / RATE)] for k, frame in enumerate(frames)]
+def tracked(
+    model: jaxfit.Model, arguments: argparse.Namespace, smoothing: OneEuro | None, frames: Frames
+) -> list[Reported]:
+    tracker = Tracker(model, arguments.detector, redetect_every=arguments.redetect_every, smoothing=smoothing)
+    found = [tracker.update(frame, number / RATE) for number, frame in enumerate(frames)]
+    return [Reported(frame.ids, frame.faces.landmarks) for frame in found]
 
 
-def detected(model: jaxfit.Model, detector: str, frames) -> list[list[Seen]]:
+def detected(model: jaxfit.Model, detector: str, frames: Frames) -> list[Reported]:
     found = []
     for frame in frames:
         faces = jaxfit.detect_faces(frame, detector)
         fits = jaxfit.fit(model, [frame] * len(faces), [face.box for face in faces], kind=[face.kind for face in faces])
-        found.append([Seen(0, landmarks) for landmarks in fits.landmarks[np.isfinite(fits.landmarks).all((1, 2))]])
+        landmarks = fits.landmarks[fits.fitted]
+        found.append(Reported(np.zeros(len(landmarks), int), landmarks))
     return found
 
 
-def measure(
-    method: Callable[[Sequence[np.ndarray]], list[list[Seen]]], clip: Clip, scheme: Scheme
-) -> dict[str, object]:
-    """What came out for a video, in numbers that can be added up."""
+def measured_on(clip: Clip, method: Method, scheme: Scheme) -> dict[str, object]:
+    """What a method finds in a video, in numbers that can be added up."""
     begun = time.perf_counter()
-    seen = method(clip.frames)
+    reported = method(clip.frames)
     taken = time.perf_counter() - begun
     people, in_view = clip.truth.shape[1], clip.in_view
     errors = np.full(in_view.shape, np.inf)
     offsets = np.full(clip.truth.shape, np.nan)
     ids = np.zeros(in_view.shape, int)
     false = 0
-    for k, faces in enumerate(seen):
-        nearest = np.full(len(faces), np.inf)
+    for k, faces in enumerate(reported):
+        nearest = np.full(len(faces.ids), np.inf)
         for person in range(people):
             truth = clip.truth[k, person]
-            if np.isnan(truth).any() or not faces:
+            if np.isnan(truth).any() or not len(faces.ids):
                 continue
-            of_faces = nmed(np.stack([f.landmarks for f in faces]), np.repeat(truth[None], len(faces), 0), scheme)
+            of_faces = nmed(faces.landmarks, np.repeat(truth[None], len(faces.ids), 0), scheme)
             best = int(of_faces.argmin())
             nearest = np.minimum(nearest, of_faces)
             if of_faces[best] < FAIR:
-                errors[k, person], ids[k, person] = of_faces[best], faces[best].id
-                offsets[k, person] = faces[best].landmarks - truth
+                errors[k, person], ids[k, person] = of_faces[best], faces.ids[best]
+                offsets[k, person] = faces.landmarks[best] - truth
         false += int((nearest > NOBODY).sum())
     velocities = np.gradient(np.nan_to_num(clip.truth), axis=0)
     eyes = np.stack([normaliser_length(np.nan_to_num(clip.truth[:, p]), scheme, "outer") for p in range(people)], 1)
@@ -258,7 +252,7 @@ def measure(
             if len(first):
                 again = bool(len(second) and second[-1] == first[-1])
     return {
-        "frames": len(seen),
+        "frames": len(reported),
         "seconds": taken,
         "in view": int(in_view.sum()),
         "good": int((errors[in_view] < GOOD).sum()),

@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from report import Report, measure, script_parser
 
 from jaxfit.cli.arguments import add_datasets, read_datasets
-from jaxfit.cli.main import exit_code
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import JaxfitError
 from jaxfit.evaluation.evaluate import evaluate, start_boxes
-from jaxfit.evaluation.tables import markdown_table
 from jaxfit.models.files import load
 
 _POLL = 0.05  # seconds
@@ -39,15 +38,15 @@ class Ended:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = script_parser(__doc__)
     add_datasets(parser)
     parser.add_argument("--test", required=True, metavar="SPEC", help="the dataset to evaluate on")
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     parser.add_argument("--train", nargs=argparse.REMAINDER, default=[], help="all that follows goes to jaxfit train")
-    return exit_code(run, parser.parse_args())
+    return measure(run, parser.parse_args())
 
 
-def run(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace, report: Report) -> None:
     count = arguments.processes
     scheme = ["--scheme", arguments.scheme] if arguments.scheme else []
     with tempfile.TemporaryDirectory() as name:
@@ -64,27 +63,18 @@ def run(arguments: argparse.Namespace) -> int:
                 for index, ended in enumerate(_ended(_started([*command, str(target)], number, folder), require=0)):
                     rows.append({"work": work, "processes": number, "process": index, **vars(ended)})
         columns = {"work": "", "processes": "d", "process": "d", "seconds": ".0f", "cpu": ".0f", "peak": ".0f"}
-        print(markdown_table(rows, columns), flush=True)
-        print(_compared(models[1], models[count], arguments.test, arguments.scheme))
+        report.table(rows, columns)
+        report.add(_compared(models[1], models[count], arguments.test, arguments.scheme))
         errors = [_errors(folder / str(number) / "faces.csv") for number in (1, count)]
         unlike = np.abs(errors[0] - errors[1]).max()
-        print(f"NMED of one model's fits in 1 and in {count} processes: at most {unlike:.1e} apart.\n", flush=True)
+        report.add(f"NMED of one model's fits in 1 and in {count} processes: at most {unlike:.1e} apart.")
         rows = []
         for work, command, stage in (("training", train, "step 1/"), ("evaluation", test, "fitting")):
             for victim in range(count):
                 target = folder / f"{work}-{victim}{'.safetensors' if command is train else ''}"
                 rows += _killed([*command, str(target)], count, folder, victim, stage, target)
-        columns = {
-            "work": "",
-            "killed": "d",
-            "process": "d",
-            "seconds after": ".1f",
-            "status": "d",
-            "says": "",
-            "left": "",
-        }
-        print(markdown_table(rows, columns))
-    return 0
+        columns = {"work": "", "killed": "d", "process": "d", "seconds after": ".1f", "status": "d"}
+        report.table(rows, {**columns, "says": "", "left": ""})
 
 
 def _started(command: list[str], count: int, folder: Path) -> list[subprocess.Popen]:
@@ -96,14 +86,14 @@ def _started(command: list[str], count: int, folder: Path) -> list[subprocess.Po
     for index in range(count):
         with open(folder / f"said-{index}", "w") as said:
             ways = [*joined, str(index)] if count > 1 else []
-            started = [sys.executable, "-m", "jaxfit.cli.main", *command, *ways]
+            started = [sys.executable, "-m", "jaxfit", *command, *ways]
             processes.append(subprocess.Popen(started, stdout=subprocess.DEVNULL, stderr=said))
     return processes
 
 
 def _ended(processes: list[subprocess.Popen], require: int | None = None) -> list[Ended]:
-    """What became of processes, all with the required status."""
-    begin, ended = time.perf_counter(), {}
+    """How processes ended, all with the required status."""
+    begin, ended = time.perf_counter(), dict[int, Ended]()
     while len(ended) < len(processes):
         for index, process in enumerate(processes):
             if index in ended:
@@ -114,7 +104,7 @@ def _ended(processes: list[subprocess.Popen], require: int | None = None) -> lis
                 cpu = usage.ru_utime + usage.ru_stime
                 ended[index] = Ended(process.returncode, time.perf_counter() - begin, cpu, usage.ru_maxrss / 1024)
                 if require not in (None, process.returncode):
-                    raise JaxfitError(f"expected exit status {require}; got {process.returncode} of {process.args}")
+                    raise JaxfitError(f"expected exit status {require}; got {process.returncode} of {process.args!r}")
         time.sleep(_POLL)
     return [ended[index] for index in range(len(processes))]
 
@@ -122,7 +112,7 @@ def _ended(processes: list[subprocess.Popen], require: int | None = None) -> lis
 def _killed(
     command: list[str], count: int, folder: Path, victim: int, stage: str, target: Path
 ) -> list[dict[str, object]]:
-    """A row for each process that is left when one is killed at a stage that the first tells of."""
+    """A row for each process that is left when one is killed at a stage that the first has reported."""
     processes = _started(command, count, folder)
     while stage not in (folder / "said-0").read_text():
         time.sleep(_POLL)
@@ -146,7 +136,7 @@ def _compared(one: Path, other: Path, test: str, scheme: str | None) -> str:
     distances = np.linalg.norm(of_one.landmarks - of_other.landmarks, axis=2).max(1) / boxes[:, 2]
     medians = [float(np.median(result.errors)) for result in (of_one, of_other)]
     return (
-        f"\nFits of {len(boxes)} faces by the two models: the landmark that is farthest from the other model's is "
+        f"Fits of {len(boxes)} faces by the two models: the landmark that is farthest from the other model's is "
         f"{np.nanmedian(distances):.1e} of the face box's side from it in the median face, {np.nanmax(distances):.1e} "
         f"in the worst. Median NMED {medians[0]:.5f} and {medians[1]:.5f}."
     )

@@ -1,4 +1,4 @@
-"""Peak memory and time of ``jaxfit train`` against the number of augmentations, one process each, as a table.
+"""Peak memory and time of ``jaxfit train`` against the number of augmentations, one process each.
 
 Options that are not this script's own go to ``jaxfit train``.
 """
@@ -11,37 +11,42 @@ import tempfile
 import time
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_datasets
-from jaxfit.evaluation.tables import markdown_table
+from report import Report, measure, script_parser
+
+from jaxfit.errors import JaxfitError
+
+COLUMNS = {"augmentations": "d", "peak MiB": ".0f", "against the least": "+.1%", "minutes": ".1f"}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_datasets(parser)
+def main() -> int:
+    parser = script_parser(__doc__)
     parser.add_argument("--augmentations", type=int, nargs="+", default=[5, 10, 20, 40])
     arguments, others = parser.parse_known_args()
-    others += ["--scheme", arguments.scheme] if arguments.scheme else []
-    rows = [measure(arguments.data, count, others) for count in arguments.augmentations]
+    arguments.train = others
+    return measure(run, arguments)
+
+
+def run(arguments: argparse.Namespace, report: Report) -> None:
+    rows = [trained(count, arguments.train) for count in arguments.augmentations]
     least = min(row["peak MiB"] for row in rows)
     for row in rows:
         row["against the least"] = row["peak MiB"] / least - 1
-    print(
-        markdown_table(rows, {"augmentations": "d", "peak MiB": ".0f", "against the least": "+.1%", "minutes": ".1f"})
-    )
+    report.table(rows, COLUMNS)
 
 
-def measure(data: list[str], augmentations: int, others: list[str]) -> dict[str, float]:
+def trained(augmentations: int, options: list[str]) -> dict[str, float]:
+    """The row of a training."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "jaxfit.cli.main", "train", "--data", *data, "--no-haar"]
-        command += ["--augmentations", str(augmentations), "--out", str(Path(folder) / "model.safetensors"), *others]
+        command = [sys.executable, "-m", "jaxfit", "train", "--no-haar", *options]
+        command += ["--augmentations", str(augmentations), "--out", str(Path(folder) / "model.safetensors")]
         begin = time.perf_counter()
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
         _, status, usage = os.wait4(process.pid, 0)
         if status != 0:
-            raise SystemExit(f"failed: {' '.join(command)}")
+            raise JaxfitError(f"failed: {' '.join(command)}")
         minutes = (time.perf_counter() - begin) / 60
     return {"augmentations": augmentations, "peak MiB": usage.ru_maxrss / 1024, "minutes": minutes}
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
