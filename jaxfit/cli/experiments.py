@@ -10,22 +10,22 @@ from pathlib import Path
 from jaxfit.cli.arguments import out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.evaluation.tables import text_table
-from jaxfit.experiments.cells import Cell, plan
 from jaxfit.experiments.config import read_config
-from jaxfit.experiments.lab import Lab
-from jaxfit.experiments.page import write_document
-from jaxfit.experiments.report import document
+from jaxfit.experiments.experiment import SETTINGS, Experiment
+from jaxfit.experiments.page import write_files
+from jaxfit.experiments.report import build_report
 from jaxfit.experiments.results import read_results
-from jaxfit.experiments.running import SETTINGS, Standing, keep_settings, probe_pace, run, standing
+from jaxfit.experiments.runner import Status, experiment_status, run_experiment, seconds_per_window
+from jaxfit.experiments.tasks import Task, plan_tasks
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Add the command to the parser."""
     command = commands.add_parser(
         "experiments",
-        help="compare methods on datasets as the thesis does, and report",
+        help="compare methods on datasets by cross-validation, and report",
         description="Cross-validate methods over grids of augmentations, steps and initialisations, time them and test "
-        "their pose, as a configuration in TOML says; then report, with the thesis's numbers beside what was measured.",
+        "their pose, as a configuration in TOML says; then report what was measured.",
     )
     actions = command.add_subparsers(required=True, metavar="ACTION")
     running = actions.add_parser(
@@ -54,63 +54,62 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 
 def run_command(options: argparse.Namespace) -> int:
-    """Run the cells, or say what there is to run."""
+    """Run the tasks, or say what there is to run."""
     config = read_config(options.config)
     if options.dry_run:
-        return _dry_run(Lab(config, Path(options.out)))
+        return _dry_run(Experiment(config, Path(options.out)))
     folder = out_folder(options.out)
     begin = time.monotonic()
     with Bars() as bars:
-        told = _CellProgress(bars)
-        run(config, folder, told.within, told.begun)
+        progress = _TaskProgress(bars)
+        run_experiment(config, folder, progress.within, progress.begun)
     results = read_results(folder)
     report_problems(list(results.problems))
-    done = f"{results.cells - results.missing} of {results.cells} cells done"
-    took = f"{told.ran} of them now, in {duration(time.monotonic() - begin)}"
+    done = f"{results.tasks - results.missing} of {results.tasks} tasks done"
+    took = f"{progress.ran} of them now, in {duration(time.monotonic() - begin)}"
     print(f"{done}, {took}; next: jaxfit experiments report {options.out}")
     return 0
 
 
-class _CellProgress:
-    """Where someone is looking, bars that name the cell and say how long the rest takes; in logs a line a cell."""
+class _TaskProgress:
+    """On a terminal, bars that name the task and say how long the rest takes; in logs a line a task."""
 
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
         self.ran = 0
-        self._cell = ""
+        self._task = ""
 
-    def begun(self, cell: Cell, state: Standing) -> None:
-        """A cell begins."""
+    def begun(self, task: Task, status: Status) -> None:
+        """A task begins."""
         self.ran += 1
-        left = "" if isnan(state.seconds_left) else f", {duration(state.seconds_left)} left"
-        self._cell = f"{state.done + 1}/{state.cells}{left}: {cell.name}"
+        left = "" if isnan(status.seconds_left) else f", {duration(status.seconds_left)} left"
+        self._task = f"{status.done + 1}/{status.tasks}{left}: {task.name}"
         if not sys.stderr.isatty():
-            print(self._cell, file=sys.stderr, flush=True)
+            print(self._task, file=sys.stderr, flush=True)
 
     def within(self, stage: str, done: int, total: int) -> None:
-        """So much of a stage of the cell is done."""
+        """So much of a stage of the task is done."""
         if sys.stderr.isatty():
-            self._bars(f"{self._cell}, {stage}", done, total)
+            self._bars(f"{self._task}, {stage}", done, total)
 
 
-def _dry_run(lab: Lab) -> int:
-    if (lab.folder / SETTINGS).exists():
-        keep_settings(lab)
-    state = standing(lab)
-    seconds = state.seconds_left if state.done else state.work_left * probe_pace()
-    cells = plan(lab.config)
-    kinds = Counter("/".join(cell.name.split("/")[:2]) for cell in cells)
-    done = Counter("/".join(cell.name.split("/")[:2]) for cell in cells if lab.result(cell.name).exists())
-    rows = [{"cells": kind, "in all": count, "done": done[kind]} for kind, count in kinds.items()]
-    for name, faces in lab.faces.items():
+def _dry_run(experiment: Experiment) -> int:
+    if (experiment.folder / SETTINGS).exists():
+        experiment.keep_settings()
+    status = experiment_status(experiment)
+    seconds = status.seconds_left if status.done else status.work_left * seconds_per_window()
+    tasks = plan_tasks(experiment.config)
+    kinds = Counter("/".join(task.name.split("/")[:2]) for task in tasks)
+    done = Counter("/".join(task.name.split("/")[:2]) for task in tasks if experiment.done(task.name))
+    rows = [{"tasks": kind, "in all": count, "done": done[kind]} for kind, count in kinds.items()]
+    for name, faces in experiment.faces.items():
         print(f"{name}: {len(faces.records)} faces with all {faces.scheme.count} landmarks ({faces.scheme.name})")
-    report_problems([problem for faces in lab.faces.values() for problem in faces.problems])
-    print(text_table(rows, {"cells": "", "in all": "d", "done": "d"}))
+    report_problems([problem for faces in experiment.faces.values() for problem in faces.problems])
+    print(text_table(rows, {"tasks": "", "in all": "d", "done": "d"}))
     measured = "by a short measurement on this machine; what was never compiled here takes minutes more"
-    how = "by the pace so far" if state.done else measured
-    print(
-        f"{state.cells - state.done} of {state.cells} cells to run; one process takes about {duration(seconds)}, {how}"
-    )
+    how = "by the pace so far" if status.done else measured
+    left = f"{status.tasks - status.done} of {status.tasks} tasks to run"
+    print(f"{left}; one process takes about {duration(seconds)}, {how}")
     return 0
 
 
@@ -119,16 +118,16 @@ def report_command(options: argparse.Namespace) -> int:
     folder = Path(options.folder)
     results = read_results(folder)
     target = out_folder(options.out or str(folder / "report"))
-    write_document(document(results, pictures=not options.no_pictures), target)
+    write_files(build_report(results, pictures=not options.no_pictures), target)
     if results.missing:
-        missing = f"{results.missing} of {results.cells} cells are not run yet"
-        print(f"{missing}; what needs them is left out", file=sys.stderr)
+        missing = f"{results.missing} of {results.tasks} tasks are not run yet"
+        print(f"{missing}; the parts of the report that need them are left out", file=sys.stderr)
     print(f"written: {target / 'report.html'}, tables, figures")
     return 0
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say it."""
+    """Seconds in a unit that suits them."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     if seconds < 90 * 60:

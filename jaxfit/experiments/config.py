@@ -1,4 +1,4 @@
-"""What is to be run: a configuration, read from a TOML file and checked before any work."""
+"""What an experiment runs: a configuration, read from a TOML file and checked before any work."""
 
 import json
 import tomllib
@@ -14,15 +14,15 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
-from jaxfit.experiments.document import check_names
-from jaxfit.experiments.thesis import THESIS
+from jaxfit.experiments.names import check_names
+from jaxfit.experiments.thesis.numbers import THESIS_DATASETS
 from jaxfit.labels.datasets import parse_spec
 from jaxfit.learning.methods import METHODS, Options, default_descriptor
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.normalisers import NORMALISERS
 
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
-# Options of training that an experiment sets itself, or does not need: boxes of detectors are not measured.
+# Options of training that an experiment sets itself, or does not need, as it measures no boxes of detectors.
 _NOT_OPTIONS = {"augmentations", "starts", "haar", "seed"}
 _OPTIONS = set(Options().flat()) - _NOT_OPTIONS
 
@@ -35,7 +35,7 @@ class DatasetPlan:
         name: of the dataset, in tables.
         data: what it is made of, ``FORMAT:PATH`` as on the command line; paths are relative to the current folder.
         scheme: convert all labels to this landmark scheme; None leaves them as they are.
-        thesis: which of the thesis's datasets to compare with, ``"AFLW"`` or ``"LFPW"``; None for neither.
+        thesis: put the thesis's numbers of ``"AFLW"`` or ``"LFPW"`` beside this dataset's; None for neither.
     """
 
     name: str
@@ -46,12 +46,12 @@ class DatasetPlan:
 
 @dataclass(frozen=True)
 class MethodPlan:
-    """A way to find faces.
+    """A method that is compared.
 
     Attributes:
         name: in tables.
-        method: one of ``jaxfit.learning.train.METHODS``.
-        options: of training; the cells of the experiment set the augmentations.
+        method: one of ``jaxfit.learning.methods.METHODS``.
+        options: of training; the tasks of the experiment set the augmentations.
     """
 
     name: str
@@ -66,11 +66,11 @@ class MethodPlan:
 
 @dataclass(frozen=True)
 class PosePlan:
-    """What 3D methods are tested on for pose.
+    """What a test of the pose that 3D methods find is made with.
 
     Attributes:
         train: what they learn from, all of it, ``FORMAT:PATH``.
-        test: with labelled poses; no face of it is learned from.
+        test: datasets with labelled poses, from which nothing is learned.
         scheme: convert the labels of ``train`` to this landmark scheme.
     """
 
@@ -86,16 +86,16 @@ class Config:
     Attributes:
         datasets: what methods are cross-validated on; may be empty where only pose is tested.
         methods: what is compared.
-        augmentations: starts drawn for each face in training, the columns of the grid (Appendices A, B).
-        initialisations: starts of a fit (Appendix C).
+        augmentations: starts drawn for each face in training, the columns of the grid.
+        initialisations: starts of a fit.
         chosen_steps: how many steps the models have that are compared, timed and looked at.
-        chosen_augmentations: one of ``augmentations``: theirs.
+        chosen_augmentations: the augmentations of these models, one of ``augmentations``.
         folds: of the cross-validation, split by subject.
-        repetitions: how often the set of faces that is timed is fitted.
+        repetitions: how often the faces that are timed are fitted.
         timed_faces: how many faces are timed.
         normaliser: what errors are divided by.
         seed: of folds, boxes and starts.
-        pose: the test of pose, if there shall be one.
+        pose: the test of pose; None for no such test.
     """
 
     datasets: tuple[DatasetPlan, ...]
@@ -134,7 +134,7 @@ class Config:
             raise InputError(f"initialisations: expected one, or three or more, each; got {list(self.initialisations)}")
         for key in ("augmentations", "initialisations"):
             if len(set(counts := getattr(self, key))) < len(counts):
-                raise InputError(f"{key}: expected each but once; got {list(counts)}")
+                raise InputError(f"{key}: expected each once; got {list(counts)}")
         check_names([plan.name for plan in self.datasets], "[datasets]")
         check_names([plan.name for plan in self.methods], "[methods]")
         pairs = [f"{dataset.name}-{plan.name}" for dataset in self.datasets for plan in self.methods]
@@ -149,12 +149,17 @@ class Config:
         """How many steps the cascades have: the rows of the grid."""
         return len(self.methods[0].options.greedy.windows)
 
+    @property
+    def names_thesis(self) -> bool:
+        """Whether a dataset is compared with one of the thesis."""
+        return any(dataset.thesis is not None for dataset in self.datasets)
+
     def method(self, name: str) -> MethodPlan:
         """The method of a name."""
         return next(plan for plan in self.methods if plan.name == name)
 
     def as_json(self) -> dict[str, Any]:
-        """The values, JSON's own, that `config_from` makes the same configuration of."""
+        """The configuration as JSON values, of which `config_from` makes the same one."""
         plans = {plan.name: _without(asdict(plan), {"name"}) for plan in self.datasets}
         pose = {} if self.pose is None else {"pose": _without(asdict(self.pose), set())}
         methods = {
@@ -191,7 +196,7 @@ def read_config(path: str | Path) -> Config:
 
 
 def config_from(values: Mapping[str, Any]) -> Config:
-    """The configuration that a TOML file's values make.
+    """The configuration of values, as they stand in a TOML file.
 
     Raises:
         InputError: something is unknown, missing or out of range.
@@ -203,7 +208,7 @@ def config_from(values: Mapping[str, Any]) -> Config:
     top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
     usual = Options(haar=False).but(seed=max(0, top.get("seed", Config.seed)))
     training, methods, datasets = (_table(values, key) for key in ("training", "methods", "datasets"))
-    _options("[training]", usual, default_descriptor("sdm", Starts()), training)  # told as wrong there, not in a method
+    _options("[training]", usual, default_descriptor("sdm", Starts()), training)  # so that a mistake is reported there
     plans = tuple(_method(name, {**training, **_table(methods, name, "methods.")}, usual) for name in methods)
     steps = len(plans[0].options.greedy.windows) if plans else 0
     return Config(
@@ -219,8 +224,8 @@ def _dataset(name: str, values: Mapping[str, Any]) -> DatasetPlan:
     where = f"[datasets.{name}]"
     _require_known(where, values, {"data", "scheme", "thesis"})
     plan = DatasetPlan(name, _specs(where, values, "data"), _scheme(where, values), values.get("thesis"))
-    if plan.thesis not in (None, *THESIS["errors"]):
-        raise InputError(f"{where} thesis: expected one of {', '.join(THESIS['errors'])}; got {plan.thesis!r}")
+    if plan.thesis not in (None, *THESIS_DATASETS):
+        raise InputError(f"{where} thesis: expected one of {', '.join(THESIS_DATASETS)}; got {plan.thesis!r}")
     return plan
 
 
@@ -244,10 +249,10 @@ def _pose(values: Mapping[str, Any]) -> PosePlan:
 
 
 def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping[str, Any]) -> Options:
-    """The usual options, and descriptor, with what a table says about training."""
+    """The usual options and descriptor, changed as a table about training says."""
     _require_known(where, values, _OPTIONS)
     plain = {key: value for key, value in values.items() if key not in ("descriptor", "frame")}
-    # The usual rank, none, does not tell that others are whole numbers.
+    # The usual rank, None, does not show that others are whole numbers.
     defaults = usual.flat() | {"rank": 0}
     changed = {key: _like(defaults[key], f"{where} {key}", value) for key, value in plain.items()}
     if "descriptor" in values:
@@ -258,7 +263,7 @@ def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping
 
 
 def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Descriptor:
-    """The usual descriptor, or one of another ``kind``, with what a table says about it."""
+    """The usual descriptor, or one of another ``kind``, changed as a table says."""
     try:
         made = descriptor_like(usual, table["kind"]) if "kind" in table else usual
     except InputError as error:
@@ -267,7 +272,7 @@ def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Desc
 
 
 def _part(where: str, key: str, part: Any, table: Mapping[str, Any]) -> Any:
-    """A part of the options with what the table of a key says about it."""
+    """A part of the options, changed as the table of a key says."""
     _require_known(f"{where} {key}", table, {each.name for each in fields(part)})
     return _checked(
         where, partial(replace, part), {k: _like(getattr(part, k), f"{where} {key}.{k}", v) for k, v in table.items()}
@@ -275,10 +280,10 @@ def _part(where: str, key: str, part: Any, table: Mapping[str, Any]) -> Any:
 
 
 def _checked(where: str, changing: Callable[..., Any], changed: Mapping[str, Any]) -> Any:
-    """What comes of changing some fields of a dataclass.
+    """A dataclass with some fields changed.
 
     Raises:
-        InputError: it refuses them.
+        InputError: it refuses the values.
     """
     try:
         return changing(**changed)
@@ -301,7 +306,7 @@ def _like(default: Any, where: str, value: Any) -> Any:
 
 
 def _table(values: Mapping[str, Any], key: str, within: str = "") -> dict[str, Any]:
-    """The table of a name, ``within`` being what stands before it; empty if there is none."""
+    """The table of a name; empty if there is none. ``within`` stands before the name in messages."""
     table = values.get(key, {})
     if not isinstance(table, dict):
         raise InputError(f"expected a table, [{within}{key}]; got {key} = {table!r}")
@@ -330,7 +335,7 @@ def _scheme(where: str, values: Mapping[str, Any]) -> str | None:
 
 
 def _without(values: Mapping[str, Any], left_out: set[str]) -> dict[str, Any]:
-    """Values by name, less those named and those that are not set."""
+    """Values by name, without those that are left out or None."""
     return {key: value for key, value in values.items() if key not in left_out and value is not None}
 
 
@@ -338,7 +343,7 @@ def _require_known(where: str, values: Mapping[str, Any], known: Iterable[str]) 
     """Check that a table has no other keys than these.
 
     Raises:
-        InputError: it has.
+        InputError: it has another.
     """
     for key in values:
         if key not in known:

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
 
-TRUTH, FIT = "red", "cyan"  # as in the thesis
+TRUTH, FIT = "red", "cyan"
 
 
 def mean_and_ci(errors: np.ndarray, subjects: Subjects = None) -> tuple[np.ndarray, np.ndarray]:
     """Means (...) of errors (..., N) over fitted faces, and half the widths of their 95 % confidence intervals.
 
-    ``subjects`` say who is seen on each of the N faces, as in ``summarise``.
+    ``subjects`` say whose each of the N faces is, as in ``summarise``.
     """
     summaries = [summarise(each, subjects=subjects) for each in errors.reshape(-1, errors.shape[-1])]
     shape = errors.shape[:-1]
@@ -35,13 +35,13 @@ def mean_and_ci(errors: np.ndarray, subjects: Subjects = None) -> tuple[np.ndarr
 def plot_grid(
     grids: Mapping[str, np.ndarray], augmentations: Sequence[int], error: str = "NMED", subjects: Subjects = None
 ) -> "matplotlib.figure.Figure":
-    """Mean errors and their 95 % confidence intervals over steps, a panel a method (Figures 12, 13, 15 and 16).
+    """Mean errors and their 95 % confidence intervals over steps, a panel a method.
 
     Args:
         grids: by method, (steps, augmentations, N) errors.
         augmentations: of the second axis; a line each.
         error: what is measured.
-        subjects: who is seen on each of the N faces.
+        subjects: whose each of the N faces is.
     """
     figure = new_figure(5.2 * len(grids), 4.0)
     axes = figure.subplots(1, len(grids), sharey=True, squeeze=False)
@@ -63,28 +63,22 @@ def plot_grid(
 def plot_starts(
     starts: Mapping[str, np.ndarray],
     counts: Sequence[int],
-    thesis: Mapping[str, Sequence[float]],
-    thesis_counts: Sequence[int],
     error: str = "NMED",
     subjects: Subjects = None,
 ) -> "matplotlib.figure.Figure":
-    """Mean errors and their 95 % confidence intervals over the number of initialisations (Figures 14 and 17).
+    """Mean errors and their 95 % confidence intervals over the number of initialisations.
 
     Args:
         starts: by method, (initialisations, N) errors.
         counts: of the first axis.
-        thesis: by method, the thesis's means, drawn dashed; of methods that it has.
-        thesis_counts: what they belong to.
         error: what is measured.
-        subjects: who is seen on each of the N faces.
+        subjects: whose each of the N faces is.
     """
     figure = new_figure(6.5, 4.0)
     ax = figure.subplots()
     for number, (name, errors) in enumerate(starts.items()):
         mean, width = mean_and_ci(errors, subjects)
         ax.errorbar(counts, mean, width, fmt="o-", capsize=3, color=f"C{number}", label=name)
-        if name in thesis:
-            ax.plot(thesis_counts, thesis[name], "--", color=f"C{number}", alpha=0.5, label=f"{name}, thesis")
     ax.set(xlabel="initialisations", ylabel=f"mean {error}", xticks=counts)
     ax.grid(alpha=0.3)
     ax.legend()
@@ -99,7 +93,7 @@ def plot_fits(
     scheme: Scheme,
     side: int,
 ) -> "matplotlib.figure.Figure":
-    """Fitted faces, a row a method: labels in red and fits in cyan (Figures 22 and 23).
+    """Fitted faces, a row a method: labels in red and fits in cyan.
 
     Args:
         pictures: F square pictures, uint8 (side, side) or (side, side, 3); None for an empty ground.

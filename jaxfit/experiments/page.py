@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxfit.data.outputs import atomic_write
+from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import format_cells, is_numeric
-from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Table, check_names
-from jaxfit.experiments.figure_files import write_figure
-from jaxfit.experiments.markdown_file import markdown_text
-from jaxfit.experiments.table_files import write_table
+from jaxfit.experiments.latex import latex_table
+from jaxfit.experiments.markdown import markdown_text
+from jaxfit.experiments.names import check_names
+from jaxfit.experiments.report_parts import Gallery, GalleryFace, Part, Report, ReportFigure, ReportTable
+from jaxfit.experiments.svg import write_figure
 
 if TYPE_CHECKING:
     import jinja2
@@ -22,33 +23,33 @@ if TYPE_CHECKING:
 _WIDE_FIGURE = 8.5  # inches; narrower figures may stand side by side
 
 
-def write_document(document: Document, folder: Path) -> None:
+def write_files(report: Report, folder: Path) -> None:
     """Write a report: ``report.html``, ``report.md``, and the files of its tables (CSV, LaTeX) and figures (SVG, PNG).
 
     ``report.html`` needs no other file and no network. The others are ``tables/NAME.csv``, ``tables/NAME.tex``,
-    ``figures/NAME.svg`` and ``figures/NAME.png``. The same document gives the same bytes. Figures are closed.
+    ``figures/NAME.svg`` and ``figures/NAME.png``. The same report gives the same bytes. Figures are closed.
 
     Args:
-        document: the report.
-        folder: where to; it is made if need be, and other files in it stay.
+        report: what is written.
+        folder: where to; it is made if needed, and other files in it stay.
 
     Raises:
         InputError: jinja2 is missing, or the names of tables or figures are not file names or not unique.
     """
     template = _template()
-    parts = [part for section in document.sections for part in section.parts]
-    for kind in (Table, Figure):
-        check_names([part.name for part in parts if isinstance(part, kind)], f"{kind.__name__.lower()}s")
+    parts = [part for section in report.sections for part in section.parts]
+    check_names([part.name for part in parts if isinstance(part, ReportTable)], "tables")
+    check_names([part.name for part in parts if isinstance(part, ReportFigure)], "figures")
     for name in ("tables", "figures"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     sections = [
         {"title": section.title, "text": section.text, "parts": [_part(part, folder) for part in section.parts]}
-        for section in document.sections
+        for section in report.sections
     ]
     with atomic_write(folder / "report.html", "w") as file:
-        file.write(template.render(title=document.title, about=document.about, sections=sections))
+        file.write(template.render(title=report.title, about=report.about, sections=sections))
     with atomic_write(folder / "report.md", "w") as file:
-        file.write(markdown_text(document))
+        file.write(markdown_text(report))
 
 
 def _template() -> "jinja2.Template":
@@ -64,19 +65,27 @@ def _template() -> "jinja2.Template":
     return environment.from_string(source.read_text(encoding="utf-8"))
 
 
-def _part(part: Table | Figure | Gallery, folder: Path) -> dict[str, Any]:
-    """What the template shows of a part, whose files are written."""
-    if isinstance(part, Table):
-        write_table(part, folder / "tables")
+def _part(part: Part, folder: Path) -> dict[str, Any]:
+    """What the template shows of a part; the part's files are written."""
+    if isinstance(part, ReportTable):
+        _write_table(part, folder / "tables")
         return _table(part)
-    if isinstance(part, Figure):
+    if isinstance(part, ReportFigure):
         basis = "100%" if part.figure.get_figwidth() > _WIDE_FIGURE else "26rem"
         svg = write_figure(part, folder / "figures")
         return {"kind": "figure", "name": part.name, "title": part.title, "note": part.note, "svg": svg, "basis": basis}
     return _gallery(part)
 
 
-def _table(table: Table) -> dict[str, Any]:
+def _write_table(table: ReportTable, folder: Path) -> None:
+    """Write ``NAME.csv``, with the numbers as they are, and ``NAME.tex``, with the numbers as they are shown."""
+    rows = ([row.get(heading) for heading in table.columns] for row in table.rows)
+    write_csv(folder / f"{table.name}.csv", list(table.columns), rows)
+    with atomic_write(folder / f"{table.name}.tex", "w") as file:
+        file.write(latex_table(table))
+
+
+def _table(table: ReportTable) -> dict[str, Any]:
     cells = format_cells(table.rows, table.columns)
     lengths = [max(map(len, column)) + 2 for column in zip(table.columns, *cells, strict=True)]  # with a gap
     return {

@@ -1,4 +1,4 @@
-"""What a report says of errors of landmarks: parameters, comparisons, times, and the appendices A to C."""
+"""What a report says of errors of landmarks: parameters, comparisons, times, the grid and initialisations."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -11,12 +11,11 @@ from jaxfit.evaluation.plots import new_figure, plot_ced
 from jaxfit.evaluation.statistics import auc_ci, failure_ci, holm, relative_difference
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, Row, comparison_row, summary_row
 from jaxfit.experiments.config import Config, MethodPlan
-from jaxfit.experiments.document import Figure, Table
 from jaxfit.experiments.figures import mean_and_ci, plot_grid, plot_starts
-from jaxfit.experiments.results import DatasetResults, Results
-from jaxfit.experiments.thesis import THESIS, numbered, of_thesis
+from jaxfit.experiments.report_parts import ReportFigure, ReportTable
+from jaxfit.experiments.results import DatasetResults, ExperimentResults
 
-_CED_LIMIT = 0.25  # where curves end, as in the thesis
+_CED_LIMIT = 0.25  # where curves end
 _ERRORS = {
     "dataset": "",
     "method": "",
@@ -25,8 +24,6 @@ _ERRORS = {
     "unmeasured": "d",
     "mean": ".4f",
     "± 95 %": ".4f",
-    "thesis": ".4f",
-    "ratio to the thesis": ".2f",
     "median": ".4f",
     f"AUC@{LIMIT:g}": ".3f",
     "AUC from": ".3f",
@@ -40,7 +37,6 @@ DIFFERENCES = {
     "± 95 %": ".1%",
     "difference of medians": "+.1%",
     "rank-sum p": ".2g",
-    "thesis's rank-sum p": ".2g",
     "signed-rank p": ".2g",
     "signed-rank p (Holm)": ".2g",
 }
@@ -51,7 +47,6 @@ class Group(NamedTuple):
 
     in_3d: bool
     name: str
-    table: str
     plans: tuple[MethodPlan, ...]
 
     @property
@@ -65,8 +60,8 @@ class Group(NamedTuple):
         return self.name.lower()
 
 
-def parameters(results: Results, group: Group) -> Iterator[Table | Figure]:
-    """Errors over steps, augmentations and initialisations (Figures 12 to 17), and the best of the grid."""
+def parameters(results: ExperimentResults, group: Group) -> Iterator[ReportTable | ReportFigure]:
+    """Errors over steps, augmentations and initialisations, and the best of the grid."""
     config, rows = results.config, []
     for dataset in results.datasets:
         tested = dataset.tested(group.plans, config)
@@ -74,45 +69,27 @@ def parameters(results: Results, group: Group) -> Iterator[Table | Figure]:
             continue
         rows += [row for plan in tested for row in _best(dataset, config, plan)]
         grids = {plan.name: dataset.grid[plan.name] for plan in tested}
-        yield Figure(
+        yield ReportFigure(
             f"grid-{dataset.name}-{group.stem}",
-            numbered("grid", dataset.thesis, group.in_3d, f"{dataset.name}: errors over steps and augmentations"),
+            f"{dataset.name}: errors over steps and augmentations",
             plot_grid(grids, config.augmentations, group.error, dataset.subjects),
         )
         starts = {plan.name: dataset.starts[plan.name] for plan in tested}
         if len(config.initialisations) > 1 and all(np.isfinite(each).any(1).all() for each in starts.values()):
-            known = ((plan.name, of_thesis("starts", dataset.thesis, plan.method)) for plan in tested)
-            thesis = {name: of["mean"] for name, of in known if of}
-            yield Figure(
+            yield ReportFigure(
                 f"starts-{dataset.name}-{group.stem}",
-                numbered("starts", dataset.thesis, group.in_3d, f"{dataset.name}: errors over initialisations"),
-                plot_starts(
-                    starts,
-                    config.initialisations,
-                    thesis,
-                    THESIS["initialisations"],
-                    group.error,
-                    dataset.subjects,
-                ),
-                "Starts turned evenly over -90° to 90°, of models that were trained for one upright start, as in the "
-                "thesis.",
+                f"{dataset.name}: errors over initialisations",
+                plot_starts(starts, config.initialisations, group.error, dataset.subjects),
+                "Starts turned evenly over -90° to 90°, of models that were trained for one upright start.",
             )
     if rows:
-        columns = {
-            "dataset": "",
-            "method": "",
-            "augmentations": "d",
-            "steps": "d",
-            "mean": ".4f",
-            "thesis's augmentations": "d",
-            "thesis's steps": "d",
-        }
+        columns = {"dataset": "", "method": "", "augmentations": "d", "steps": "d", "mean": ".4f"}
         note = (
             "The smallest mean error of the grid, over the faces that all its models fitted, on the faces that are "
             f"tested: what is compared below is not this but {config.chosen_augmentations} augmentations and "
             f"{config.chosen_steps} steps, chosen beforehand."
         )
-        yield Table(f"best-{group.stem}", f"Best of the grid ({group.name})", columns, tuple(rows), note)
+        yield ReportTable(f"best-{group.stem}", f"Best of the grid ({group.name})", columns, tuple(rows), note)
 
 
 def _best(dataset: DatasetResults, config: Config, plan: MethodPlan) -> Iterator[Row]:
@@ -124,20 +101,17 @@ def _best(dataset: DatasetResults, config: Config, plan: MethodPlan) -> Iterator
         return
     means = np.where(run, grid[..., fitted].mean(2), np.inf)
     step, column = np.unravel_index(np.argmin(means), means.shape)
-    augmentations, steps = of_thesis("selected", dataset.thesis, plan.method) or (None, None)
     yield {
         "dataset": dataset.name,
         "method": plan.name,
         "augmentations": config.augmentations[column],
         "steps": int(step) + 1,
         "mean": means[step, column],
-        "thesis's augmentations": augmentations,
-        "thesis's steps": steps,
     }
 
 
-def comparison(results: Results, group: Group) -> Iterator[Table | Figure]:
-    """The chosen models: cumulative errors (Figures 18 and 19), errors (Tables 3 and 5), and tests of differences."""
+def comparison(results: ExperimentResults, group: Group) -> Iterator[ReportTable | ReportFigure]:
+    """The chosen models: cumulative errors, errors, and tests of differences."""
     rows: list[Row] = []
     tests: list[dict[str, object]] = []
     for dataset in results.datasets:
@@ -146,37 +120,35 @@ def comparison(results: Results, group: Group) -> Iterator[Table | Figure]:
         if tested:
             figure = new_figure(6.5, 4.2)
             plot_ced(errors, _CED_LIMIT, figure.subplots(), group.error)
-            title = numbered("ced", dataset.thesis, group.in_3d, f"{dataset.name}: cumulative errors")
-            yield Figure(f"ced-{dataset.name}-{group.stem}", title, figure)
+            yield ReportFigure(f"ced-{dataset.name}-{group.stem}", f"{dataset.name}: cumulative errors", figure)
         rows += [_summary(dataset, plan, errors[plan.name]) for plan in tested]
         for one, other in combinations(tested, 2):
-            told = {"dataset": dataset.name, "methods": f"{one.name}, {other.name}"}
-            difference = difference_row(errors[other.name], errors[one.name], dataset.subjects)
-            tests.append({**told, **difference, "thesis's rank-sum p": _thesis_p(dataset, group, one, other)})
+            compared = {"dataset": dataset.name, "methods": f"{one.name}, {other.name}"}
+            tests.append(compared | difference_row(errors[other.name], errors[one.name], dataset.subjects))
     if rows:
         note = (
             "± 95 %: half the interval of the mean. From, to: 95 % bootstrap intervals. Both are by subject. Means are "
             "over fitted faces; those without a fit count in the rest."
         )
-        yield Table(f"errors-{group.stem}", f"{group.table}. Errors ({group.name})", _ERRORS, tuple(rows), note)
+        yield ReportTable(f"errors-{group.stem}", f"Errors ({group.name})", _ERRORS, tuple(rows), note)
     if tests:
         add_holm(tests)
         note = (
-            "Of the second method from the first. The rank-sum test is the thesis's; the signed-rank test uses that "
-            "both methods were tested on the same faces, and takes several pictures of a person together. Holm's "
-            "values are adjusted for all tests of the table."
+            "Of the second method from the first. The rank-sum test takes all errors for independent; the signed-rank "
+            "test uses that both methods were tested on the same faces, and takes several pictures of a person "
+            "together. Holm's values are adjusted for all tests of the table."
         )
         columns = {"dataset": "", "methods": "", **DIFFERENCES}
         title = f"Differences between methods ({group.name})"
-        yield Table(f"tests-{group.stem}", title, columns, tuple(tests), note)
+        yield ReportTable(f"tests-{group.stem}", title, columns, tuple(tests), note)
 
 
 def difference_row(errors: np.ndarray, baseline: np.ndarray, subjects: np.ndarray) -> dict[str, object]:
-    """The row of ``DIFFERENCES``, but for Holm's and the thesis's p-values, for errors (N,) of two methods."""
+    """The row of ``DIFFERENCES``, without Holm's p-value, for errors (N,) of two methods."""
     difference, width = relative_difference(errors, baseline, subjects)
     row = comparison_row(errors, baseline, subjects)
-    told = {key: row[key] for key in DIFFERENCES if key in COMPARISON_COLUMNS}
-    return {"difference of means": difference, "± 95 %": width, **told}
+    compared = {key: row[key] for key in DIFFERENCES if key in COMPARISON_COLUMNS}
+    return {"difference of means": difference, "± 95 %": width, **compared}
 
 
 def add_holm(tests: Sequence[dict[str, object]]) -> None:
@@ -188,14 +160,11 @@ def add_holm(tests: Sequence[dict[str, object]]) -> None:
 
 def _summary(dataset: DatasetResults, plan: MethodPlan, errors: np.ndarray) -> Row:
     row = summary_row(errors, dataset.subjects)
-    mean, _ = of_thesis("errors", dataset.thesis, plan.method) or (np.nan, np.nan)
     auc, failure = (interval(errors, subjects=dataset.subjects) for interval in (auc_ci, failure_ci))
     return {
         "dataset": dataset.name,
         "method": plan.name,
         **row,
-        "thesis": mean,
-        "ratio to the thesis": float(row["mean"]) / mean,  # type: ignore[arg-type]
         "AUC from": auc[0],
         "AUC to": auc[1],
         "failure from": failure[0],
@@ -203,14 +172,8 @@ def _summary(dataset: DatasetResults, plan: MethodPlan, errors: np.ndarray) -> R
     }
 
 
-def _thesis_p(dataset: DatasetResults, group: Group, one: MethodPlan, other: MethodPlan) -> float:
-    compared = {"alignment3d", "regression3d"} if group.in_3d else {"sdm", "parametric"}
-    known = THESIS["p"].get(dataset.thesis or "")
-    return float(known[group.stem]) if known and {one.method, other.method} == compared else np.nan
-
-
-def times(results: Results) -> Iterator[Table]:
-    """Milliseconds a face (Tables 4 and 6)."""
+def times(results: ExperimentResults) -> Iterator[ReportTable]:
+    """Milliseconds a face."""
     rows = []
     for dataset in results.datasets:
         for plan in results.config.methods:
@@ -218,7 +181,6 @@ def times(results: Results) -> Iterator[Table]:
             if not len(seconds):
                 continue
             low, median, high = (1000 * float(value) for value in np.percentile(seconds, [25, 50, 75]))
-            thesis = 1000 * float(of_thesis("seconds", dataset.thesis, plan.method) or np.nan)
             rows.append(
                 {
                     "dataset": dataset.name,
@@ -226,8 +188,6 @@ def times(results: Results) -> Iterator[Table]:
                     "median ms": median,
                     "25 % ms": low,
                     "75 % ms": high,
-                    "thesis ms": thesis,
-                    "ratio to the thesis": median / thesis,
                     "repetitions": len(seconds),
                     "faces": int(dataset.timed["faces"]),
                     "cores": int(dataset.timed["cores"]),
@@ -242,34 +202,30 @@ def times(results: Results) -> Iterator[Table]:
             "Milliseconds a face: cropping and fitting, from pictures in memory, compiled; methods take turns. Other "
             "work on the machine at that time makes them longer."
         )
-        yield Table("times", "Tables 4, 6. Time of a face", columns, tuple(rows), note)
+        yield ReportTable("times", "Time of a face", columns, tuple(rows), note)
 
 
-def grid_tables(results: Results) -> Iterator[Table]:
-    """Mean errors by steps and augmentations (Appendices A and B)."""
+def grid_tables(results: ExperimentResults) -> Iterator[ReportTable]:
+    """Mean errors by steps and augmentations."""
     config = results.config
     for dataset in results.datasets:
         for plan in config.methods:
             means, widths = mean_and_ci(dataset.grid[plan.name], dataset.subjects)
             if np.isnan(means).all():
                 continue
-            known = of_thesis("grid", dataset.thesis, plan.method)
             columns, rows = {"steps": "d"}, []
             for count in config.augmentations:
-                columns |= {f"{count}": ".4f", f"{count} ±": ".4f"} | ({f"{count} ratio": ".2f"} if known else {})
+                columns |= {f"{count}": ".4f", f"{count} ±": ".4f"}
             for step in range(1, config.steps + 1):
                 row: dict[str, object] = {"steps": step}
                 for column, count in enumerate(config.augmentations):
-                    has = known and step <= len(known["mean"]) and count in THESIS["augmentations"]
-                    thesis = known["mean"][step - 1][THESIS["augmentations"].index(count)] if has else np.nan
-                    mean, width = means[step - 1, column], widths[step - 1, column]
-                    row |= {f"{count}": mean, f"{count} ±": width, f"{count} ratio": mean / thesis}
+                    row |= {f"{count}": means[step - 1, column], f"{count} ±": widths[step - 1, column]}
                 rows.append(row)
-            yield Table(f"grid-{dataset.name}-{plan.name}", f"{dataset.name}, {plan.name}", columns, tuple(rows))
+            yield ReportTable(f"grid-{dataset.name}-{plan.name}", f"{dataset.name}, {plan.name}", columns, tuple(rows))
 
 
-def starts_tables(results: Results) -> Iterator[Table]:
-    """Mean errors by initialisations (Appendix C)."""
+def starts_tables(results: ExperimentResults) -> Iterator[ReportTable]:
+    """Mean errors by initialisations."""
     config = results.config
     for dataset in results.datasets:
         columns: dict[str, str] = {"initialisations": "d"}
@@ -278,11 +234,8 @@ def starts_tables(results: Results) -> Iterator[Table]:
             means, widths = mean_and_ci(dataset.starts[plan.name], dataset.subjects)
             if np.isnan(means).all():
                 continue
-            known = of_thesis("starts", dataset.thesis, plan.method)
-            columns |= {plan.name: ".4f", f"{plan.name} ±": ".4f"} | ({f"{plan.name} ratio": ".2f"} if known else {})
-            for row, count, mean, width in zip(rows, config.initialisations, means, widths, strict=True):
-                has = known and count in THESIS["initialisations"]
-                thesis = known["mean"][THESIS["initialisations"].index(count)] if has else np.nan
-                row |= {plan.name: mean, f"{plan.name} ±": width, f"{plan.name} ratio": mean / thesis}
+            columns |= {plan.name: ".4f", f"{plan.name} ±": ".4f"}
+            for row, mean, width in zip(rows, means, widths, strict=True):
+                row |= {plan.name: mean, f"{plan.name} ±": width}
         if len(columns) > 1:
-            yield Table(f"starts-{dataset.name}", dataset.name, columns, tuple(rows))
+            yield ReportTable(f"starts-{dataset.name}", dataset.name, columns, tuple(rows))

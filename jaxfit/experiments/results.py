@@ -1,21 +1,19 @@
-"""What an experiment has found so far, put together from its cells."""
+"""What an experiment has found so far, put together from the results of its tasks."""
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from jaxfit.errors import InputError
-from jaxfit.experiments.cells import Cell, Grid, Pose, SeveralStarts, Times, plan, several
-from jaxfit.experiments.config import Config, MethodPlan, config_from
-from jaxfit.experiments.lab import load_arrays
-from jaxfit.experiments.running import OF_FACES, SETTINGS
+from jaxfit.experiments.arrays import Arrays, load_arrays
+from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan, config_from
+from jaxfit.experiments.experiment import FACE_SETTINGS, SETTINGS, faces_file, result_file
+from jaxfit.experiments.tasks import GridTask, PoseTask, StartsTask, Task, TimesTask, plan_tasks, several_starts
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.scheme import Scheme
-
-Arrays = Mapping[str, np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class DatasetResults:
     name: str
     thesis: str | None
     scheme: Scheme
-    faces: Arrays
+    faces: Mapping[str, np.ndarray]
     grid: Mapping[str, np.ndarray]
     starts: Mapping[str, np.ndarray]
     fits: Mapping[str, np.ndarray]
@@ -48,7 +46,7 @@ class DatasetResults:
 
     @property
     def subjects(self) -> np.ndarray:
-        """(N,) who is seen."""
+        """(N,) who is on each picture."""
         return self.faces["subject"]
 
     def errors(self, method: str, config: Config) -> np.ndarray:
@@ -69,7 +67,7 @@ class PoseResults:
         name: of the dataset.
         truth: (N, 3) labelled roll, pitch and yaw.
         fitted: by method, (N, 3).
-        subjects: (N,) who is seen.
+        subjects: (N,) who is on each picture.
     """
 
     name: str
@@ -78,20 +76,20 @@ class PoseResults:
     subjects: np.ndarray
 
     @property
-    def told(self) -> str:
-        """Its name, and how much it tells."""
+    def title(self) -> str:
+        """Its name, and of how many pictures and people it is."""
         return f"{self.name} ({len(self.truth)} pictures of {len(np.unique(self.subjects))} subjects)"
 
 
 @dataclass(frozen=True)
-class Results:
-    """Everything.
+class ExperimentResults:
+    """The results of all tasks that are done.
 
     Attributes:
         config: what was asked for.
         datasets: in its order.
         pose: likewise.
-        cells: number of cells.
+        tasks: how many there are.
         missing: how many of them are not run yet.
         waiting: how many of the others are left out until all folds are run.
         hours: that the others took, of one process.
@@ -102,7 +100,7 @@ class Results:
     config: Config
     datasets: tuple[DatasetResults, ...]
     pose: tuple[PoseResults, ...]
-    cells: int
+    tasks: int
     missing: int
     waiting: int
     hours: float
@@ -110,7 +108,10 @@ class Results:
     problems: tuple[str, ...]
 
 
-def read_results(folder: Path) -> Results:
+_Done = Mapping[str, tuple[Task, Arrays]]  # tasks and their results, by name
+
+
+def read_results(folder: Path) -> ExperimentResults:
     """The results in the folder of an experiment.
 
     Raises:
@@ -119,100 +120,76 @@ def read_results(folder: Path) -> Results:
     if not (folder / SETTINGS).is_file():
         raise InputError(f"{folder}: expected results of jaxfit experiments run, found none; check the path")
     values = json.loads((folder / SETTINGS).read_text(encoding="utf-8"))
-    config = config_from({key: value for key, value in values.items() if key not in OF_FACES})
-    cells = plan(config)
-    done = {
-        cell.name: (cell, load_arrays(path))
-        for cell in cells
-        if (path := folder / "cells" / f"{cell.name}.npz").exists()
+    config = config_from({key: value for key, value in values.items() if key not in FACE_SETTINGS})
+    tasks = plan_tasks(config)
+    done: _Done = {
+        task.name: (task, load_arrays(path)) for task in tasks if (path := result_file(folder, task.name)).exists()
     }
-    whole = {name: kept for name, kept in done.items() if _all_folds(kept[0], config, done)}
-    datasets = []
-    for dataset in config.datasets:
-        found = _Found(config, load_arrays(folder / "datasets" / f"{dataset.name}.npz"))
-        for cell, arrays in whole.values():
-            if not isinstance(cell, Pose) and getattr(cell, "dataset", None) == dataset.name:
-                found.add(cell, arrays)
-        datasets.append(
-            DatasetResults(
-                dataset.name,
-                dataset.thesis,
-                found.scheme,
-                found.faces,
-                found.grid,
-                found.starts,
-                found.fits,
-                found.seconds,
-                found.timed,
-            )
-        )
-    pose = tuple(
-        PoseResults(
-            cell.name.partition("/")[2],
-            arrays["pose"],
-            {method.name: arrays[f"{method.name}.pose"] for group in cell.groups for method in group},
-            arrays["subject"],
-        )
-        for cell, arrays in done.values()
-        if isinstance(cell, Pose)
+    complete = {name: kept for name, kept in done.items() if _all_folds(kept[0], config, done)}
+    datasets = tuple(
+        _dataset_results(config, dataset, load_arrays(faces_file(folder, dataset.name)), complete)
+        for dataset in config.datasets
     )
-    told = [*(dataset.faces for dataset in datasets), *(arrays for _, arrays in done.values())]
-    problems = dict.fromkeys(str(why) for arrays in told for why in arrays.get("problems", ()))
-    hours = sum(float(arrays["seconds"]) for _, arrays in done.values()) / 3600
-    made_with = dict.fromkeys(str(arrays["made_with"]) for _, arrays in done.values() if "made_with" in arrays)
-    return Results(
-        config,
-        tuple(datasets),
-        pose,
-        len(cells),
-        len(cells) - len(done),
-        len(done) - len(whole),
-        hours,
-        tuple(made_with),
-        tuple(problems),
+    arrays = [*(dataset.faces for dataset in datasets), *(arrays for _, arrays in done.values())]
+    return ExperimentResults(
+        config=config,
+        datasets=datasets,
+        pose=tuple(_pose_results(done)),
+        tasks=len(tasks),
+        missing=len(tasks) - len(done),
+        waiting=len(done) - len(complete),
+        hours=sum(float(arrays["seconds"]) for _, arrays in done.values()) / 3600,
+        made_with=_texts("made_with", arrays),
+        problems=_texts("problems", arrays),
     )
 
 
-def _all_folds(cell: Cell, config: Config, done: Collection[str]) -> bool:
-    """Whether what a cell measures is measured in all folds, and so on all faces."""
-    if not isinstance(cell, Grid | SeveralStarts):
+def _all_folds(task: Task, config: Config, done: Collection[str]) -> bool:
+    """Whether what a task measures is measured in all folds, and so on all faces."""
+    if not isinstance(task, GridTask | StartsTask):
         return True
-    return all(replace(cell, fold=fold).name in done for fold in range(config.folds))
+    return all(replace(task, fold=fold).name in done for fold in range(config.folds))
 
 
-class _Found:
-    """The results of one dataset, filled cell by cell."""
+def _dataset_results(config: Config, dataset: DatasetPlan, faces: Arrays, done: _Done) -> DatasetResults:
+    """The results of one dataset."""
+    scheme, count = scheme_named(str(faces["scheme"])), len(faces["face"])
 
-    def __init__(self, config: Config, faces: Arrays):
-        self.faces = faces
-        self.scheme = scheme_named(str(faces["scheme"]))
-        names, count = [method.name for method in config.methods], len(faces["face"])
-        sizes = (config.steps, len(config.augmentations), count)
-        self.config = config
-        self.grid = {name: np.full(sizes, np.nan) for name in names}
-        self.starts = {name: np.full((len(config.initialisations), count), np.nan) for name in names}
-        self.fits = {name: np.full((count, self.scheme.count, 2), np.nan) for name in names}
-        self.seconds = {name: np.empty(0) for name in names}
-        self.timed: dict[str, float] = {}
+    def unknown(*shape: int) -> dict[str, np.ndarray]:
+        return {method.name: np.full(shape, np.nan) for method in config.methods}
 
-    def add(self, cell: object, arrays: Arrays) -> None:
-        """Put a cell's results where they belong."""
-        if isinstance(cell, Times):
-            self.seconds = {name: arrays[f"{name}.seconds"] for name in self.seconds}
-            self.timed = {key: float(arrays[key]) for key in ("faces", "cores")}
-            return
-        assert isinstance(cell, Grid | SeveralStarts), "no other cells are of a dataset"
+    grid = unknown(config.steps, len(config.augmentations), count)
+    starts, fits = unknown(len(config.initialisations), count), unknown(count, scheme.count, 2)
+    seconds, timed = {method.name: np.empty(0) for method in config.methods}, {}
+    several = [config.initialisations.index(number) for number in several_starts(config)]
+    for task, arrays in done.values():
+        if isinstance(task, TimesTask) and task.dataset == dataset.name:
+            seconds = {name: arrays[f"{name}.seconds"] for name in seconds}
+            timed = {key: float(arrays[key]) for key in ("faces", "cores")}
+        if not isinstance(task, GridTask | StartsTask) or task.dataset != dataset.name:
+            continue
         rows = arrays["rows"]
-        for method in cell.methods:
+        for method in task.methods:
             errors = arrays["errors_3d" if method.in_3d else "errors"]
-            if isinstance(cell, SeveralStarts):
-                at = [self.config.initialisations.index(count) for count in several(self.config)]
-                self.starts[method.name][np.ix_(np.array(at), rows)] = errors
+            if isinstance(task, StartsTask):
+                starts[method.name][np.ix_(np.array(several), rows)] = errors
                 continue
-            column = self.config.augmentations.index(cell.augmentations)
-            self.grid[method.name][:, column, rows] = errors
-            if cell.augmentations == self.config.chosen_augmentations:
-                self.fits[method.name][rows] = arrays["landmarks"]
-                if 1 in self.config.initialisations:
-                    single = self.config.initialisations.index(1)
-                    self.starts[method.name][single, rows] = errors[self.config.chosen_steps - 1]
+            grid[method.name][:, config.augmentations.index(task.augmentations), rows] = errors
+            if task.augmentations == config.chosen_augmentations:
+                fits[method.name][rows] = arrays["landmarks"]
+                if 1 in config.initialisations:
+                    single = config.initialisations.index(1)
+                    starts[method.name][single, rows] = errors[config.chosen_steps - 1]
+    return DatasetResults(dataset.name, dataset.thesis, scheme, faces, grid, starts, fits, seconds, timed)
+
+
+def _pose_results(done: _Done) -> Iterator[PoseResults]:
+    for task, arrays in done.values():
+        if isinstance(task, PoseTask):
+            fitted = {method.name: arrays[f"{method.name}.pose"] for group in task.groups for method in group}
+            yield PoseResults(task.dataset, arrays["pose"], fitted, arrays["subject"])
+
+
+def _texts(name: str, results: Sequence[Mapping[str, np.ndarray]]) -> tuple[str, ...]:
+    """The texts of that name in all results, each once."""
+    return tuple(dict.fromkeys(str(text) for arrays in results for text in np.ravel(arrays.get(name, ()))))

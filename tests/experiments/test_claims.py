@@ -2,14 +2,15 @@
 
 import tomllib
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from jaxfit.evaluation.statistics import holm, rank_sum
-from jaxfit.experiments.claims import Claim, claims
 from jaxfit.experiments.config import config_from
-from jaxfit.experiments.results import DatasetResults, PoseResults, Results
+from jaxfit.experiments.results import DatasetResults, ExperimentResults, PoseResults
+from jaxfit.experiments.thesis.claims import Claim, thesis_claims
 from jaxfit.schemes.known import AFLW21
 
 TEXT = """
@@ -33,7 +34,7 @@ FACES = 200
 METHODS = ("sdm", "parametric", "alignment3d", "regression3d")
 
 
-def measured(thesis: str = "AFLW", flat: bool = False, **factors: float) -> Results:
+def measured(thesis: str = "AFLW", flat: bool = False, **factors: float) -> ExperimentResults:
     """Results of errors that fall with steps and augmentations until 5 and 10 of them, unless ``flat``."""
     rng = np.random.default_rng(0)
     faces = rng.uniform(0.03, 0.08, FACES)
@@ -50,7 +51,7 @@ def measured(thesis: str = "AFLW", flat: bool = False, **factors: float) -> Resu
     seconds["regression3d"] = seconds["regression3d"] / factors.get("speed", 2.0)
     people = np.array([f"person {number}" for number in range(FACES)])
     dataset = DatasetResults("faces", thesis, AFLW21, {"subject": people}, grid, starts, {}, seconds, {})
-    return Results(config, (dataset,), (heads(**factors),), 1, 0, 0, 0.0, (), ())
+    return ExperimentResults(config, (dataset,), (heads(**factors),), 1, 0, 0, 0.0, (), ())
 
 
 def heads(people: float = 400, **factors: float) -> PoseResults:
@@ -63,8 +64,8 @@ def heads(people: float = 400, **factors: float) -> PoseResults:
     return PoseResults("heads", truth, fitted, np.array([f"person {k % int(people)}" for k in range(400)]))
 
 
-def of(results: Results, letter: str) -> list[Claim]:
-    found = [claim for claim in claims(results) if claim.letter == letter]
+def of(results: ExperimentResults, letter: str) -> list[Claim]:
+    found = [claim for claim in thesis_claims(results) if claim.letter == letter]
     assert found
     return found
 
@@ -92,7 +93,7 @@ def test_few_starts() -> None:
 
 
 @pytest.mark.parametrize(("factors", "holds"), [({}, 1), ({"speed": 0.5}, 0), ({"regression3d": 1.2}, 0)])
-def test_regression_is_faster_at_equal_error(factors: dict, holds: int) -> None:
+def test_regression_is_faster_at_equal_error(factors: dict[str, Any], holds: int) -> None:
     (claim,) = of(measured(**factors), "d")
     assert claim.holds == bool(holds)
 
@@ -155,15 +156,16 @@ def test_nothing_beyond_45_degrees_says_nothing_of_it() -> None:
     pose = heads()
     truth = pose.truth * [1, 1, 0.45]
     near = replace(pose, truth=truth, fitted={name: truth + 1 for name in pose.fitted})
-    assert not [claim for claim in claims(replace(measured(), pose=(near,))) if claim.letter == "f"]
+    assert not [claim for claim in thesis_claims(replace(measured(), pose=(near,))) if claim.letter == "f"]
 
 
 def test_claims_go_by_p_values_adjusted_for_all_tests_of_a_letter() -> None:
-    found = claims(measured())
+    found = thesis_claims(measured())
     assert [claim.letter for claim in found] == sorted(claim.letter for claim in found)
     for letter in "abcdef":
         same = [claim for claim in found if claim.letter == letter]
-        np.testing.assert_allclose([claim.adjusted for claim in same], holm(np.array([claim.p for claim in same])))
+        adjusted = np.array([claim.adjusted for claim in same], float)
+        np.testing.assert_allclose(adjusted, holm(np.array([claim.p for claim in same], float)))
     claim = replace(found[0], as_claimed=True, p=0.03, adjusted=0.06)
     assert not claim.holds
     assert replace(claim, adjusted=0.04).holds

@@ -1,6 +1,9 @@
-"""What a report says of poses that are made up: the thesis's numbers stand beside, and people count, not pictures."""
+"""What a report says of made-up poses: people count, not pictures; of the thesis it speaks only if it is asked to."""
 
+import re
 import tomllib
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,13 +11,16 @@ import pytest
 from jaxfit.evaluation.pose import pose_rows
 from jaxfit.evaluation.statistics import holm
 from jaxfit.experiments.config import config_from
-from jaxfit.experiments.document import Document, Figure, Table
-from jaxfit.experiments.report import document
-from jaxfit.experiments.results import PoseResults, Results
-from jaxfit.experiments.thesis import THESIS
+from jaxfit.experiments.report import build_report
+from jaxfit.experiments.report_parts import Report, ReportFigure, ReportTable
+from jaxfit.experiments.results import ExperimentResults, PoseResults
+from jaxfit.experiments.thesis.numbers import THESIS
 
 # Under names of their own, and one that finds nothing.
 TEXT = """
+[datasets.faces]
+data = ["pts:a"]
+thesis = "AFLW"
 [methods.aligned]
 method = "alignment3d"
 [methods.regressed]
@@ -40,24 +46,32 @@ def poses() -> PoseResults:
     return PoseResults("pointing04", truth, fitted, np.array([f"Person{number:02}" for number in people]))
 
 
-@pytest.fixture(scope="module")
-def report() -> Document:
+def report_of(text: str) -> Report:
     pytest.importorskip("matplotlib")
-    return document(Results(config_from(tomllib.loads(TEXT)), (), (poses(),), 1, 0, 0, 0.0, (), ()))
+    return build_report(ExperimentResults(config_from(tomllib.loads(text)), (), (poses(),), 1, 0, 0, 0.0, (), ()))
 
 
-def table(report: Document, name: str) -> Table:
+@pytest.fixture(scope="module")
+def report() -> Report:
+    return report_of(TEXT)
+
+
+def table(report: Report, name: str) -> ReportTable:
     (found,) = (part for section in report.sections for part in section.parts if part.name == name)
-    assert isinstance(found, Table)
+    assert isinstance(found, ReportTable)
     return found
 
 
-def test_errors_of_pose(report: Document) -> None:
+def rows_by(found: ReportTable, *headings: str) -> dict[tuple[object, ...], dict[str, Any]]:
+    return {tuple(row[heading] for heading in headings): dict(row) for row in found.rows}
+
+
+def test_errors_of_pose(report: Report) -> None:
     found, pose = table(report, "pose-pointing04"), poses()
     assert found.title.startswith("Table 7. ")
     assert f"{len(pose.truth)} pictures of {PEOPLE} subjects" in found.note
     assert report.about["poses"] in found.note
-    rows = {(row["method"], row["range"], row["angle"]): row for row in found.rows}
+    rows = rows_by(found, "method", "range", "angle")
     (expected,) = (
         row
         for row in pose_rows(pose.fitted["aligned"], pose.truth, pose.subjects)
@@ -66,34 +80,67 @@ def test_errors_of_pose(report: Document) -> None:
     row = rows["aligned", "all", "yaw"]
     assert {key: row[key] for key in expected} == expected
     assert row["thesis"] == THESIS["pose"]["alignment3d"]["yaw"][0]
-    assert row["ratio to the thesis"] == pytest.approx(expected["MAE"] / row["thesis"])
+    assert row["ratio to the thesis"] == pytest.approx(row["MAE"] / row["thesis"])
     assert rows["regressed", "all", "pitch"]["thesis"] == THESIS["pose"]["regression3d"]["pitch"][0]
 
 
-def test_tests_of_pose(report: Document) -> None:
+def test_tests_of_pose(report: Report) -> None:
     found = table(report, "pose-tests-pointing04")
     assert len(found.rows) == 2 * 3  # roll is unknown
-    rows = {(row["methods"], row["angle"]): row for row in found.rows}
+    rows = rows_by(found, "methods", "angle")
     row = rows["aligned, regressed", "yaw"]
     assert row["thesis's rank-sum p"] == THESIS["pose_p"]["yaw"]
     assert row["rank-sum p"] < 1e-10
     assert row["signed-rank p"] == pytest.approx(2 / 2**PEOPLE)  # all seven differ the same way
-    adjusted = holm(np.array([row["signed-rank p"] for row in found.rows]))
-    assert [row["signed-rank p (Holm)"] for row in found.rows] == pytest.approx(adjusted.tolist())
+    adjusted = holm(np.array([row["signed-rank p"] for row in rows.values()]))
+    assert [row["signed-rank p (Holm)"] for row in rows.values()] == pytest.approx(adjusted.tolist())
     assert row["difference of means"] < -0.3
     assert np.isnan(rows["aligned, lost", "yaw"]["difference of means"])
     assert np.isnan(rows["regressed, lost", "yaw"]["thesis's rank-sum p"])  # the thesis compares no such two
     assert {claim["here"] for claim in table(report, "claims").rows if claim[""] == "e"} == {"holds"}
 
 
-def test_errors_by_true_pose(report: Document) -> None:
+def test_errors_by_true_pose(report: Report) -> None:
     found = table(report, "pose-pointing04-regressed-yaw")
     assert [row["pitch \\ yaw"] for row in found.rows] == THESIS["pitches"]
     known = np.array([[row[f"{yaw:g} (thesis)"] for yaw in THESIS["yaws"]] for row in found.rows])
     np.testing.assert_array_equal(known, np.array(THESIS["pose_grid"]["regression3d"]["yaw"], float))
     assert "times the thesis's" in found.note
     figures = {
-        part.name: part.title for section in report.sections for part in section.parts if isinstance(part, Figure)
+        part.name: part.title for section in report.sections for part in section.parts if isinstance(part, ReportFigure)
     }
     assert figures.keys() == {"surface-pointing04-aligned", "surface-pointing04-regressed"}  # nothing of the lost
     assert figures["surface-pointing04-regressed"].startswith("Figure 21. ")
+
+
+def words_of(report: Report) -> Iterator[str]:
+    """Everything that a report says, inside its figures too."""
+    from matplotlib.text import Text
+
+    yield report.title
+    for pair in report.about.items():
+        yield from pair
+    for section in report.sections:
+        yield from (section.title, *section.text)
+        for part in section.parts:
+            yield from (part.title, part.note)
+            if isinstance(part, ReportTable):
+                yield from (*part.columns, *(str(value) for row in part.rows for value in row.values()))
+            elif isinstance(part, ReportFigure):
+                yield from (text.get_text() for text in part.figure.findobj(Text))
+
+
+def test_without_a_dataset_of_the_thesis_nothing_is_said_of_it(report: Report) -> None:
+    plain = report_of(TEXT.replace('thesis = "AFLW"\n', ""))
+    words = re.compile(r"thesis|claim|appendix|appendices|\bEq\.|\b(Figure|Table|Tables) \d|\(\d\.\d\)", re.IGNORECASE)
+    assert not [text for text in words_of(plain) if words.search(text)]
+    assert {name for text in words_of(report) for name in words.findall(text)} >= {"Figure", "Table"}
+    # All else is the same.
+    own = [part.name for section in plain.sections for part in section.parts]
+    assert [part.name for section in report.sections for part in section.parts] == ["claims", *own]
+    for name in own:
+        if name.startswith("pose"):
+            beside, alone = table(report, name), table(plain, name)
+            assert [heading for heading in beside.columns if heading in alone.columns] == list(alone.columns)
+            for with_thesis, row in zip(beside.rows, alone.rows, strict=True):
+                np.testing.assert_equal({heading: with_thesis[heading] for heading in row}, dict(row))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxfit.experiments.thesis import THESIS
+from jaxfit.experiments.thesis.numbers import THESIS
 
 METHODS = ["sdm", "parametric", "alignment3d", "regression3d"]
 

@@ -1,37 +1,39 @@
-"""What the cells of an experiment share: faces, folds, pictures in memory, models, and where things are kept."""
+"""An experiment: its configuration and folder, and the faces, folds, pictures and models that its tasks share."""
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
-from jaxfit.data.outputs import atomic_write
+from jaxfit.data.outputs import require_same_settings
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan
+from jaxfit.experiments.arrays import Arrays, load_arrays, save_arrays
+from jaxfit.experiments.config import Config, DatasetPlan
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.aligned import align_labels
-from jaxfit.labels.datasets import convert_dataset, parse_spec, read_dataset
+from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
 from jaxfit.labels.records import Dataset, FaceRecord
-from jaxfit.learning.methods import METHODS, Options, view_of
 from jaxfit.learning.placements import CALIBRATED
 from jaxfit.models.files import load, save
 from jaxfit.models.model import Model
-from jaxfit.schemes.known import NO_LANDMARKS, scheme_named
+from jaxfit.schemes.known import NO_LANDMARKS
 from jaxfit.schemes.scheme import Scheme
 
-Progress = Callable[[str, int, int], None]
+# The file in an experiment's folder that holds its configuration.
+SETTINGS = "config.json"
+# What this file has besides the configuration: how many faces each dataset has, and a digest of their labels and folds.
+FACE_SETTINGS = ("faces", "labels")
 
 
 @dataclass(frozen=True)
-class Faces:
+class DatasetFaces:
     """The faces of a dataset that methods are compared on: those with all landmarks.
 
     Attributes:
@@ -57,11 +59,11 @@ class Faces:
 
     @property
     def digest(self) -> str:
-        """Tells these faces, their labels and folds from others, wherever they lie."""
-        told = hashlib.sha256("\n".join((*self.subjects, *(face.face for face in self.records))).encode())
+        """Differs for other faces, labels or folds; it does not depend on the folder that the pictures are in."""
+        digest = hashlib.sha256("\n".join((*self.subjects, *(face.face for face in self.records))).encode())
         for array in (np.round(self.landmarks, 3), self.folds):  # rounded as machines differ
-            told.update(np.ascontiguousarray(array).tobytes())
-        return told.hexdigest()[:16]
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
 
     def tested(self, fold: int) -> np.ndarray:
         """Numbers of the faces in a fold."""
@@ -77,7 +79,7 @@ class Faces:
 
 
 @dataclass(frozen=True)
-class PoseData:
+class PoseFaces:
     """The faces of a test of pose.
 
     Attributes:
@@ -91,8 +93,8 @@ class PoseData:
     tested: Mapping[str, Dataset]
 
 
-class Lab:
-    """An experiment's shared things.
+class Experiment:
+    """What the tasks of an experiment share.
 
     Args:
         config: what is run.
@@ -106,7 +108,7 @@ class Lab:
         self._costs: dict[str, tuple[float, float]] = {}
 
     @cached_property
-    def faces(self) -> dict[str, Faces]:
+    def faces(self) -> dict[str, DatasetFaces]:
         """The faces of each dataset.
 
         Raises:
@@ -114,15 +116,15 @@ class Lab:
         """
         return {plan.name: self._read(plan) for plan in self.config.datasets}
 
-    def _read(self, plan: DatasetPlan) -> Faces:
-        datasets = read_all(plan.data, plan.scheme)
-        scheme = same_scheme(datasets)
+    def _read(self, plan: DatasetPlan) -> DatasetFaces:
+        datasets = read_datasets(plan.data, plan.scheme)
+        scheme = shared_scheme(datasets)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
-        # By folder, so that folds do not depend on where the data lie.
+        # By the folder's name alone, so that folds do not depend on where the data lie.
         names = [Path(parse_spec(dataset.spec)[2]).name for dataset, _ in complete]
         subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
         records = tuple(face for _, face in complete)
-        return Faces(
+        return DatasetFaces(
             scheme,
             records,
             subjects,
@@ -132,24 +134,24 @@ class Lab:
         )
 
     @cached_property
-    def pose(self) -> PoseData:
+    def pose(self) -> PoseFaces:
         """What the test of pose learns from and is tested on.
 
         Raises:
             InputError, DatasetError: a dataset cannot be read or converted, or they do not go together.
         """
         plan = self.config.pose
-        assert plan is not None, "cells of pose are planned with a test of pose"
-        learned = read_all(plan.train, plan.scheme)
-        scheme = same_scheme(learned)
+        assert plan is not None, "tasks of pose are planned with a test of pose"
+        learned = read_datasets(plan.train, plan.scheme)
+        scheme = shared_scheme(learned)
         complete = tuple(face for dataset in learned for face in dataset.faces if face.complete)
         if not complete:
             raise InputError(f"[pose] train: expected faces with all landmarks; found none in {', '.join(plan.train)}")
-        tested = {dataset.spec: dataset for dataset in read_all(plan.test, None)}
+        tested = {dataset.spec: dataset for dataset in read_datasets(plan.test)}
         for spec, dataset in tested.items():
             if dataset.scheme == NO_LANDMARKS and scheme != CALIBRATED:
                 raise InputError(
-                    f"[pose]: {spec} has no landmarks, and how faces lie in its boxes can be told to models of "
+                    f"[pose]: {spec} has no landmarks, and where faces lie in its boxes is known for models of "
                     f"{CALIBRATED.name} only; expected train with these, got {scheme.name}"
                 )
             if dataset.scheme not in (NO_LANDMARKS, scheme):
@@ -157,25 +159,33 @@ class Lab:
                     f"[pose]: expected test faces of {scheme.name}, as in train, or without landmarks; {spec} has "
                     f"{dataset.scheme.name}"
                 )
-        return PoseData(scheme, complete, tested)
+        return PoseFaces(scheme, complete, tested)
 
     def result(self, name: str) -> Path:
-        """The file of a cell's results."""
-        return self.folder / "cells" / f"{name}.npz"
+        """The file of a task's results."""
+        return result_file(self.folder, name)
 
-    def save_result(self, name: str, arrays: dict[str, np.ndarray]) -> None:
-        """Keep a cell's results, whole or not at all."""
+    def done(self, name: str) -> bool:
+        """Whether a task has results."""
+        return self.result(name).exists()
+
+    def save_result(self, name: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep a task's results, whole or not at all."""
         save_arrays(self.result(name), arrays)
 
     def cost(self, name: str) -> tuple[float, float] | None:
-        """The seconds and the work of a cell; None if it is not done."""
-        if name not in self._costs and self.result(name).exists():
-            told = load_arrays(self.result(name), ("seconds", "work"))
-            self._costs[name] = float(told["seconds"]), float(told["work"])
+        """The seconds and the work of a task; None if it is not done.
+
+        Raises:
+            InputError: its results are damaged.
+        """
+        if name not in self._costs and self.done(name):
+            cost = load_arrays(self.result(name), ("seconds", "work"))
+            self._costs[name] = float(cost["seconds"]), float(cost["work"])
         return self._costs.get(name)
 
     def load_model(self, name: str) -> Model:
-        """The model that a cell kept."""
+        """The model that a task kept."""
         return load(self._model(name))
 
     def save_model(self, name: str, model: Model) -> None:
@@ -186,83 +196,50 @@ class Lab:
     def _model(self, name: str) -> Path:
         return self.folder / "models" / f"{name}.safetensors"
 
+    def keep_settings(self) -> None:
+        """Write the configuration into a folder that is new, or check that its results are of the same one.
+
+        Raises:
+            InputError: they are of another, or a dataset cannot be read.
+            DatasetError: a dataset cannot be read.
+        """
+        settings = self.config.as_json()
+        # Data may lie elsewhere next time.
+        for name, dataset in settings["datasets"].items():
+            dataset["data"] = [_without_folders(spec) for spec in dataset["data"]]
+            values = (len(self.faces[name].records), self.faces[name].digest)
+            for key, value in zip(FACE_SETTINGS, values, strict=True):
+                settings.setdefault(key, {})[name] = value
+        for key in ("train", "test") if self.config.pose else ():
+            settings["pose"][key] = [_without_folders(spec) for spec in settings["pose"][key]]
+        if self.config.pose:  # read before hours of training, in case it cannot be
+            settings.setdefault("faces", {})["[pose]"] = len(self.pose.learned)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        require_same_settings(self.folder / SETTINGS, settings)
+
     def write_faces(self) -> None:
-        """Keep what is known of the faces, for reports, and where their pictures lie now."""
+        """Keep what reports need of the faces, and where their pictures lie now."""
         for name, faces in self.faces.items():
-            path = self.folder / "datasets" / f"{name}.npz"
+            path = faces_file(self.folder, name)
             images = np.array([os.path.abspath(face.image) for face in faces.records])
             if not path.exists():
-                save_arrays(path, {**_described(faces), "image": images})
+                save_arrays(path, {**_face_arrays(faces), "image": images})
             elif not np.array_equal((kept := load_arrays(path))["image"], images):
                 save_arrays(path, {**kept, "image": images})
 
 
-def read_all(specs: Sequence[str], scheme: str | None) -> list[Dataset]:
-    """Datasets, with labels converted to the scheme of a name if one is given.
-
-    Raises:
-        InputError, DatasetError: one cannot be read or converted.
-    """
-    datasets = [read_dataset(spec) for spec in specs]
-    return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
+def result_file(folder: Path, name: str) -> Path:
+    """The file of a task's results in the folder of an experiment."""
+    return folder / "results" / f"{name}.npz"
 
 
-def same_scheme(datasets: Sequence[Dataset]) -> Scheme:
-    """The landmark scheme that all datasets have.
-
-    Raises:
-        InputError: they have several.
-    """
-    schemes = {dataset.scheme.name: dataset.scheme for dataset in datasets}
-    if len(schemes) > 1:
-        raise InputError(f"expected datasets of one landmark scheme; got {', '.join(schemes)}; scheme converts some")
-    return next(iter(schemes.values()))
+def faces_file(folder: Path, dataset: str) -> Path:
+    """The file of what is known of a dataset's faces in the folder of an experiment."""
+    return folder / "datasets" / f"{dataset}.npz"
 
 
-def cascades(methods: Sequence[MethodPlan]) -> list[tuple[MethodPlan, ...]]:
-    """Methods that one training serves, together: 3D alignment learns the cascade of the parametric method."""
-    groups: list[list[MethodPlan]] = []
-    for plan in methods:
-        for group in groups:
-            heads = {other.options.head_model for other in [*group, plan] if other.in_3d}
-            if len(heads) <= 1 and _cascade(plan) == _cascade(group[0]):
-                group.append(plan)
-                break
-        else:
-            groups.append([plan])
-    return [tuple(group) for group in groups]
-
-
-def _cascade(plan: MethodPlan) -> tuple[object, Options]:
-    """What makes the cascade of a method."""
-    descriptor, frame = view_of(plan.method, plan.options)
-    return METHODS[plan.method].learn_space, plan.options.but(descriptor=descriptor, frame=frame, head_model="")
-
-
-def save_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write arrays, none of them of objects, as NumPy's npz, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
-
-
-def load_arrays(path: Path, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of a file of `save_arrays`, all or those that are named.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
-    try:
-        with open(path, "rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in names or arrays.files}
-    except FileNotFoundError:
-        raise InputError(f"{path}: is missing; run the experiment again, which writes it") from None
-    except (ValueError, OSError, EOFError, KeyError, BadZipFile) as error:
-        raise InputError(f"{path}: is damaged ({error}); delete it and run the experiment again") from None
-
-
-def _described(faces: Faces) -> dict[str, np.ndarray]:
-    """What a report needs of the faces, but their pictures."""
+def _face_arrays(faces: DatasetFaces) -> Arrays:
+    """What a report needs of the faces, other than their pictures."""
     labelled = np.array([[np.nan] * 3 if face.pose is None else face.pose for face in faces.records])
     return {
         "face": np.array([face.face for face in faces.records]),
@@ -276,11 +253,16 @@ def _described(faces: Faces) -> dict[str, np.ndarray]:
     }
 
 
-def _aligned_pose(faces: Faces) -> np.ndarray:
-    """(N, 3) roll, pitch and yaw in degrees that the labels tell; NaN without a head model of them."""
+def _aligned_pose(faces: DatasetFaces) -> np.ndarray:
+    """(N, 3) roll, pitch and yaw in degrees of a head aligned to the labels; NaN without a head model of them."""
     try:
         model = load_head_model().of(faces.scheme, 0.99)
     except InputError:
         return np.full((len(faces.records), 3), np.nan)
     aligned = align_labels(model, faces.landmarks)
     return np.where(aligned.ok[:, None], aligned.pose, np.nan)
+
+
+def _without_folders(spec: str) -> str:
+    form, _, path = spec.partition(":")
+    return f"{form}:{Path(path).name}"

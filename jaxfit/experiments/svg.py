@@ -1,4 +1,4 @@
-"""A report's figures as files, and as drawings inside a page that follow the page's colours."""
+"""Figures as SVG and PNG files, and as drawings inside a page that follow the page's colours."""
 
 import io
 import re
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxfit.data.outputs import atomic_write
-from jaxfit.experiments.document import Figure
+from jaxfit.experiments.report_parts import ReportFigure
 
 if TYPE_CHECKING:
     import matplotlib.figure
@@ -17,11 +17,11 @@ _PIXELS_PER_POINT = 96 / 72  # of CSS
 _GREY = re.compile(r"(?<=: )#([0-9a-f]{2})\1\1\b")  # in SVG's styles
 
 
-def write_figure(figure: Figure, folder: Path) -> str:
+def write_figure(figure: ReportFigure, folder: Path) -> str:
     """Write ``NAME.svg`` and ``NAME.png``, black on white, and close the figure.
 
     Returns:
-        The drawing as an ``<svg>`` element for a page, as :func:`inline_svg`.
+        The drawing as an ``<svg>`` element for a page, by `inline_svg`.
 
     Raises:
         InputError: the folder does not exist.
@@ -47,7 +47,7 @@ def inline_svg(svg: str, prefix: str, label: str) -> str:
     Args:
         svg: the file.
         prefix: letters, digits, ``.``, ``_`` and ``-``.
-        label: what the drawing shows, for those who do not see it.
+        label: what the drawing shows, for people who cannot see it.
     """
     root, body = svg[svg.index("<svg") :].split(">", 1)
     box = re.search(r'viewBox="([^"]*)"', root)
@@ -81,7 +81,7 @@ def _svg(figure: "matplotlib.figure.Figure") -> str:
 def _keep_colours_on_pictures(figure: "matplotlib.figure.Figure") -> None:
     """Tint black, white and grey texts and lines over pictures and colour maps, invisibly.
 
-    They were chosen for what lies below them, not for the page; tinted they are no greys to :func:`inline_svg`.
+    They were chosen for what lies below them, not for the page; tinted, `inline_svg` does not take them for greys.
     """
     from matplotlib.collections import QuadMesh
     from matplotlib.colors import to_rgba

@@ -1,14 +1,12 @@
-"""A report's tables as files: CSV for programs, LaTeX for papers."""
+"""Tables as LaTeX, for papers."""
 
 import re
 from collections.abc import Iterable
-from pathlib import Path
 
-from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.evaluation.tables import format_cells, is_numeric
-from jaxfit.experiments.document import Table
+from jaxfit.experiments.report_parts import ReportTable
 
-# What LaTeX reads as something else, or lacks in the fonts that it takes by default.
+# Characters that LaTeX reads as something else, or lacks in its default fonts.
 _LATEX = {
     "\\": r"\textbackslash{}",
     "{": r"\{",
@@ -36,22 +34,7 @@ _LATEX = {
 }
 
 
-def write_table(table: Table, folder: Path) -> None:
-    """Write ``NAME.csv``, with the numbers as they are, and ``NAME.tex``, with the numbers as they are shown.
-
-    Raises:
-        InputError: the folder does not exist.
-    """
-    write_csv(
-        folder / f"{table.name}.csv",
-        list(table.columns),
-        ([row.get(heading) for heading in table.columns] for row in table.rows),
-    )
-    with atomic_write(folder / f"{table.name}.tex", "w") as file:
-        file.write(latex_table(table))
-
-
-def latex_table(table: Table) -> str:
+def latex_table(table: ReportTable) -> str:
     """The table as a ``tabular`` with the rules of the package booktabs; columns of numbers are flush right."""
     numeric = [is_numeric(table.rows, heading) for heading in table.columns]
     lines = [

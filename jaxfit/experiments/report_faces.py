@@ -1,4 +1,4 @@
-"""The faces of a report: thumbnails, the gallery, and the best, middling and worst fits."""
+"""Faces in a report: the gallery, and a figure from the best fit to the worst."""
 
 from pathlib import Path
 
@@ -10,10 +10,9 @@ from jaxfit.data.crops import cut_face, to_crop
 from jaxfit.data.pictures import read_image
 from jaxfit.errors import ImageError
 from jaxfit.experiments.config import Config, MethodPlan
-from jaxfit.experiments.document import Figure, Gallery, GalleryFace
 from jaxfit.experiments.figures import plot_fits
+from jaxfit.experiments.report_parts import Gallery, GalleryFace, ReportFigure
 from jaxfit.experiments.results import DatasetResults
-from jaxfit.experiments.thesis import numbered
 from jaxfit.image.frame import Frame
 
 _SIDE = 144  # pixels of a thumbnail
@@ -56,8 +55,10 @@ class Thumbnails:
         return box_centre(square), float(square[2])
 
 
-def fits_figure(dataset: DatasetResults, config: Config, plans: list[MethodPlan], most: int, pictures: bool) -> Figure:
-    """Up to ``most`` faces, from the best fit of the first method to its worst (Figures 22 and 23)."""
+def fits_figure(
+    dataset: DatasetResults, config: Config, plans: list[MethodPlan], most: int, pictures: bool
+) -> ReportFigure:
+    """Up to ``most`` faces, from the best fit of the first method to its worst."""
     in_3d = plans[0].in_3d
     errors = dataset.errors(plans[0].name, config)
     numbers = spread_by_rank(errors, most)
@@ -74,10 +75,9 @@ def fits_figure(dataset: DatasetResults, config: Config, plans: list[MethodPlan]
     }
     pictures_of = [thumbnails.picture(number) for number in numbers]
     figure = plot_fits(pictures_of, truths, fits, titles, dataset.scheme, _SIDE)
-    title = f"{dataset.name}: from the best to the worst fit of {plans[0].name}"
-    return Figure(
+    return ReportFigure(
         f"fits-{dataset.name}-{'3d' if in_3d else '2d'}",
-        numbered("fits", dataset.thesis, in_3d, title),
+        f"{dataset.name}: from the best to the worst fit of {plans[0].name}",
         figure,
         _IN_2D if aligned else "",
     )

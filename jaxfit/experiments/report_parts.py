@@ -1,27 +1,23 @@
-"""What a report is made of: sections of text, tables, figures and a gallery of faces, whatever they are rendered to."""
+"""What a report is made of: sections of text, tables, figures and a gallery of faces, whatever they are written as."""
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jaxfit.errors import InputError
 from jaxfit.evaluation.tables import Row
 
 if TYPE_CHECKING:
     import matplotlib.figure
 
-_NAME = re.compile(r"[A-Za-z0-9]+([._-][A-Za-z0-9]+)*")  # a file's on every system
-
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """A table.
 
     Attributes:
-        name: stem of its files, such as ``"table-3"``.
+        name: stem of its files, such as ``"errors-2d"``.
         title: what stands above it.
         columns: for each heading, in order, how its floats are formatted, such as ``.4f``; ``""`` for plain.
         rows: values by heading; a missing one, None or NaN shows as a dash.
@@ -36,11 +32,11 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Figure:
+class ReportFigure:
     """A figure of matplotlib's.
 
     Attributes:
-        name: stem of its files, such as ``"figure-12"``.
+        name: stem of its files, such as ``"grid-faces-2d"``.
         title: what stands above it.
         figure: what is drawn.
         note: what stands below it.
@@ -88,12 +84,17 @@ class Gallery:
         faces: in any order.
         lines: by dataset, which landmarks lines join, as ``Scheme.lines``.
         note: what stands below them.
+        name: identifies it among the parts of a report.
     """
 
     title: str
     faces: tuple[GalleryFace, ...]
     lines: Mapping[str, tuple[tuple[int, ...], ...]]
     note: str = ""
+    name: str = "gallery"
+
+
+Part = ReportTable | ReportFigure | Gallery
 
 
 @dataclass(frozen=True)
@@ -104,41 +105,25 @@ class Section:
         title: the heading.
         text: paragraphs of plain text below it.
         parts: what follows, in order.
+        name: identifies the section, whatever its title.
     """
 
     title: str
     text: tuple[str, ...] = ()
-    parts: tuple[Table | Figure | Gallery, ...] = ()
+    parts: tuple[Part, ...] = ()
+    name: str = ""
 
 
 @dataclass(frozen=True)
-class Document:
+class Report:
     """A report.
 
     Attributes:
         title: its title.
-        about: short facts below the title by what they tell: versions, the machine, dates, what was run.
+        about: short facts below the title, by what they are about: versions, the machine, dates, what was run.
         sections: in order.
     """
 
     title: str
     about: Mapping[str, str] = field(default_factory=dict)
     sections: tuple[Section, ...] = ()
-
-
-def check_names(names: Sequence[str], where: str) -> None:
-    """Check that names can name files, next to one another.
-
-    Raises:
-        InputError: they cannot.
-    """
-    seen = set()
-    for name in names:
-        if not _NAME.fullmatch(name):
-            raise InputError(
-                f"{where}: expected a name of letters and digits with single '.', '_' or '-' between them, as it goes "
-                f"into file names; got {name!r}"
-            )
-        if name.casefold() in seen:  # some file systems do not tell case
-            raise InputError(f"{where}: two are called {name}; give each a name of its own")
-        seen.add(name.casefold())

@@ -17,14 +17,14 @@ from jaxfit.evaluation.statistics import (
     summarise,
 )
 from jaxfit.experiments.config import Config, MethodPlan
-from jaxfit.experiments.results import DatasetResults, PoseResults, Results
+from jaxfit.experiments.results import DatasetResults, ExperimentResults, PoseResults
 from jaxfit.shapes.camera import ANGLES
 
 _ALPHA = 0.05
-# How much of the whole improvement must be reached where errors are said to level off.
+# The share of the whole improvement that must be reached where errors are said to level off.
 _LEVEL = 0.9
 _LEVEL_AUGMENTATIONS, _LEVEL_STEPS, _FEW_STARTS = 10, 5, 3
-# By how much mean errors may differ that are about equal, and times a worse error means failure.
+# By how much mean errors that are about equal may differ, and how many times as large an error means failure.
 _ABOUT, _FAILING = 0.05, 2.0
 _FRONTAL = 45
 _ROUNDING = 5  # digits
@@ -36,11 +36,11 @@ class Claim:
     """A claim of the thesis, held against one set of faces.
 
     Attributes:
-        letter: which one.
+        letter: identifies the claim.
         claim: what the thesis says.
         where: what it was measured on.
-        as_claimed: whether the figures are as claimed, chance left aside.
-        sure: whether an interval shows that errors claimed to be equal are; True where nothing equal is claimed.
+        as_claimed: whether the figures are as claimed, whatever chance may have added.
+        sure: whether an interval shows that errors claimed to be equal are equal; True for other claims.
         found: the figures.
         test: what ``p`` is of, or what decides instead of a test.
         p: two-sided p-value; None where errors are claimed to be equal, which no p-value can show.
@@ -59,30 +59,33 @@ class Claim:
 
     @property
     def holds(self) -> bool:
-        """Whether it holds here: the figures are as claimed, and that is more than chance."""
+        """Whether the claim holds here: the figures are as claimed, and that is more than chance."""
         return self.as_claimed and self.sure and (self.adjusted is None or self.adjusted < _ALPHA)
 
     @property
     def verdict(self) -> str:
-        """Whether it holds, as a word."""
+        """Whether the claim holds, in words."""
         return "holds" if self.holds else "not shown" if self.as_claimed else "does not hold"
 
 
-def claims(results: Results) -> list[Claim]:
-    """Every claim that something was measured for; p-values are adjusted for how many tests a claim has (Holm)."""
+def thesis_claims(results: ExperimentResults) -> list[Claim]:
+    """Every claim of the thesis that something was measured for, on each set of faces.
+
+    p-values are adjusted for the number of tests that a claim has (Holm).
+    """
     found = [
         *(claim for dataset in results.datasets for claim in _of_dataset(dataset, results.config)),
         *(claim for pose in results.pose for claim in _of_pose(pose, results.config)),
     ]
-    told = []
+    claims = []
     for _, group in groupby(sorted(found, key=lambda claim: claim.letter), key=lambda claim: claim.letter):
         same = list(group)
         adjusted = holm(np.array([np.nan if claim.p is None else claim.p for claim in same]))
-        told += [
+        claims += [
             claim if claim.p is None else replace(claim, adjusted=float(p))
             for claim, p in zip(same, adjusted, strict=True)
         ]
-    return told
+    return claims
 
 
 def _of_dataset(dataset: DatasetResults, config: Config) -> Iterator[Claim]:
@@ -115,7 +118,7 @@ def _levels_off(dataset: DatasetResults, plan: MethodPlan, config: Config) -> It
         run = np.isfinite(errors).any(1)
         fitted = np.isfinite(errors[run]).all(0)
         counts, errors = counts[run], errors[run][:, fitted]
-        # What it is like at that number is only known where it was run, with fewer and with more beside it.
+        # The error at that number can only be judged where it was run, and fewer and more were run as well.
         if level not in counts[1:-1] or not errors.size:
             continue
         there = int(np.flatnonzero(counts == level)[0])
@@ -167,7 +170,7 @@ def _few_starts(dataset: DatasetResults, named: dict[str, str], config: Config) 
         return
     (sdm_one, sdm_few), (one, few) = errors[..., fitted]
     ratios = sdm_few.mean() / sdm_one.mean(), few.mean() / one.mean()
-    # Where the upright fit is kept, what is left is rounding.
+    # Where the upright fit is kept, the difference is nothing but rounding.
     rises = np.round(sdm_few - sdm_one, _ROUNDING), np.round(few - one, _ROUNDING)
     yield Claim(
         "c",
@@ -203,7 +206,7 @@ def _regression_against_alignment(dataset: DatasetResults, named: dict[str, str]
 
 
 def _about_equal(errors: np.ndarray, baseline: np.ndarray, dataset: DatasetResults) -> tuple[bool, bool, str]:
-    """Whether mean errors differ by little, whether they are sure to, and by how much they do."""
+    """Whether mean errors differ by little, whether that is sure, and by how much they differ."""
     difference, width = relative_difference(errors, baseline, dataset.subjects)
     low, high = difference - width, difference + width
     sure = bool(low >= -_ABOUT and high <= _ABOUT)
@@ -233,7 +236,7 @@ def _better_angle(pose: PoseResults, pair: list[str], angle: str, errors: list[n
     yield Claim(
         "e",
         f"3D regression finds the better {angle}",
-        pose.told,
+        pose.title,
         means[1] < means[0],
         f"mean absolute errors: {pair[0]} {means[0]:.1f}°, {pair[1]} {means[1]:.1f}°; {thesis_p}",
         "signed-rank of people's means",
@@ -242,7 +245,7 @@ def _better_angle(pose: PoseResults, pair: list[str], angle: str, errors: list[n
 
 
 def _fails_beyond(pose: PoseResults, name: str, errors: np.ndarray, turned: np.ndarray) -> Iterator[Claim]:
-    """(f) Methods fail where heads are turned too far."""
+    """(f) Methods fail where heads are turned far."""
     sides = [np.isfinite(errors) & where for where in (turned <= _FRONTAL, turned > _FRONTAL)]
     if not all(side.any() for side in sides):
         return
@@ -252,7 +255,7 @@ def _fails_beyond(pose: PoseResults, name: str, errors: np.ndarray, turned: np.n
     yield Claim(
         "f",
         f"methods fail where heads are turned by more than {_FRONTAL}°",
-        f"{pose.told}, {name}",
+        f"{pose.title}, {name}",
         means[1] >= _FAILING * means[0],
         f"mean absolute yaw error {means[0]:.1f}° up to {_FRONTAL}°, {means[1]:.1f}° beyond",
         "rank-sum of people's means",
