@@ -1,10 +1,11 @@
-# `make demo` fits a portrait; `make docs` builds the site; `make test` runs every check. All start from nothing but Python 3.11+ and make.
+# `make demo` fits a portrait; `make docs` builds the site; `make check` runs lint, types and laws, `make test` everything. All start from
+# nothing but Python 3.11+ and make.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PORTRAIT = $(shell $(BIN)/python -c "import matplotlib.cbook as c; print(c.get_sample_data('grace_hopper.jpg', asfileobj=False))")
 
-.PHONY: demo docs test clean
+.PHONY: demo docs lint check test clean
 
 demo: .venv/plots
 	$(BIN)/jaxfit fit "$(PORTRAIT)" --out demo
@@ -14,10 +15,16 @@ docs: .venv/docs
 	$(BIN)/sphinx-build --fail-on-warning --quiet docs build/site
 	@echo "Open build/site/index.html"
 
-test: .venv/dev
+lint: .venv/dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Not what starts processes, a browser or a notebook, or takes long.
+check: lint
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+
+test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 # One stamp for each set of extras; the pinned versions make the result reproducible.
