@@ -1,14 +1,16 @@
-"""Configurations: what a file says is what is run, and what it says wrongly is told."""
+"""Configurations: what a file says is what is run; mistakes in it are reported."""
 
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from jaxfit.descriptors import DESCRIPTORS
+from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError
 from jaxfit.experiments.config import config_from, read_config
-from jaxfit.learning.methods import seen
+from jaxfit.learning.methods import view_of
 
 TEXT = """
 folds = 3
@@ -39,7 +41,7 @@ test = ["pointing04:c"]
 """
 
 
-def changed(old: str, new: str) -> dict:
+def changed(old: str, new: str) -> dict[str, Any]:
     assert old in TEXT
     return tomllib.loads(TEXT.replace(old, new))
 
@@ -51,12 +53,8 @@ def test_says_what_is_run() -> None:
     (faces,) = config.datasets
     assert (faces.data, faces.scheme, faces.thesis) == (("pts:a", "pts:b"), "aflw21", "AFLW")
     narrow = config.method("narrow")
-    assert (narrow.method, narrow.options.sigmas, narrow.options.mirror, narrow.options.seed) == (
-        "parametric",
-        3.0,
-        False,
-        7,
-    )
+    options = narrow.options
+    assert (narrow.method, options.sigmas, options.mirror, options.greedy.seed) == ("parametric", 3.0, False, 7)
     assert config.pose is not None
     assert config.pose.test == ("pointing04:c",)
 
@@ -64,9 +62,8 @@ def test_says_what_is_run() -> None:
 def test_methods_keep_their_own_descriptor_where_a_part_of_it_is_set_for_all() -> None:
     config = config_from(tomllib.loads(TEXT))
     described = {plan.name: plan.options.descriptor for plan in config.methods}
-    assert {sift.normalisation for sift in described.values()} == {"cell"}
-    assert described["sdm"].orientation == "upright"
-    assert described["narrow"].orientation == "face"
+    assert described["sdm"] == Sift("upright", normalisation="cell")
+    assert {described["narrow"], described["regression3d"]} == {Sift("face", normalisation="cell")}
 
 
 @pytest.mark.parametrize("text", [TEXT, TEXT.split("[pose]")[0]])
@@ -83,7 +80,7 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ("folds = 3", "folds = 1", "folds: expected 2 or more; got 1"),
         ("augmentations = 4", "augmentations = 5", r"\[chosen\]: expected augmentations among \[1, 4\]"),
         ("steps = 2", "steps = 3", "steps from 1 to 2"),
-        ("[0.5, 0.3]", "[0.5, -0.3]", r"\[training\]: expected at least one step, windows and sigmas > 0"),
+        ("[0.5, 0.3]", "[0.5, -0.3]", r"\[training\]: expected at least one step, windows > 0"),
         ("sigmas = 3", "windows = [0.4]", r"\[methods.narrow\] windows: expected as many, .*; got 1, and 2 for sdm"),
         ("sigmas = 3", "sigma = 3", r"\[methods.narrow\] unknown key 'sigma'"),
         ('method = "parametric"', 'metod = "parametric"', r"\[methods.narrow\] unknown key 'metod'"),
@@ -113,23 +110,23 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_told(old: str, new: str, complaint: str) -> None:
+def test_mistakes_are_reported(old: str, new: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         config_from(changed(old, new))
 
 
 def test_a_rank_is_a_whole_number() -> None:
     config = config_from(changed("sigmas = 3", "rank = 24"))
-    rank = config.method("narrow").options.rank
+    rank = config.method("narrow").options.greedy.rank
     assert (rank, type(rank)) == (24, int)
     assert config_from(config.as_json()) == config
     with pytest.raises(InputError, match=r"rank: expected something like 0; got 2\.5"):
         config_from(changed("sigmas = 3", "rank = 2.5"))
 
 
-def test_little_need_be_said() -> None:
+def test_most_has_defaults() -> None:
     config = config_from(tomllib.loads("[datasets.faces]\ndata = ['pts:a']\n[methods.sdm]"))
-    assert config.chosen_steps == config.steps == len(config.methods[0].options.windows)
+    assert config.chosen_steps == config.steps == len(config.methods[0].options.greedy.windows)
     assert config_from(config.as_json()) == config
 
 
@@ -138,19 +135,19 @@ def test_descriptors_of_other_kinds() -> None:
         config = config_from(changed('{normalisation = "cell"}', f'{{kind = "{kind}"}}'))
         assert {type(plan.options.descriptor) for plan in config.methods} == {made}
         assert config_from(config.as_json()) == config
-        turns = {plan.name: seen(plan.method, plan.options)[0].turns for plan in config.methods}
+        turns = {plan.name: view_of(plan.method, plan.options)[0].turns for plan in config.methods}
         assert turns == {name: name != "sdm" for name in turns}
         # The crops suit it, too, unless they are given.
         config = config_from(
             {"datasets": {"a": {"data": ["pts:a"]}}, "methods": {"sdm": {"descriptor": {"kind": kind}}}}
         )
-        assert seen("sdm", config.method("sdm").options)[1] == made().frame
+        assert view_of("sdm", config.method("sdm").options)[1] == made().frame
     # A part of the usual one.
     sdm = config_from(changed('{normalisation = "cell"}', '{kind = "sift", normalisation = "cell"}')).method("sdm")
     assert sdm == config_from(tomllib.loads(TEXT)).method("sdm")
 
 
-def test_files_that_are_none(tmp_path: Path) -> None:
+def test_files_that_are_no_configuration(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_config(tmp_path / "nothing.toml")
     path = tmp_path / "torn.toml"
@@ -166,3 +163,9 @@ def test_the_documented_configuration_is_one() -> None:
     config = read_config(Path(__file__).resolve().parents[2] / "docs" / "experiments" / "thesis.toml")
     assert {plan.name for plan in config.methods} == {"sdm", "parametric", "alignment3d", "regression3d"}
     assert {dataset.thesis for dataset in config.datasets} == {"AFLW", "LFPW"}
+    assert config.names_thesis
+
+
+def test_the_thesis_is_compared_with_only_where_a_dataset_names_it() -> None:
+    assert config_from(tomllib.loads(TEXT)).names_thesis
+    assert not config_from(changed('thesis = "AFLW"', "")).names_thesis
