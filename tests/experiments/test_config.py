@@ -92,8 +92,8 @@ def test_json_of_it_makes_the_same(text: str) -> None:
         ('"aflw21"', '"aflw19"', r"\[datasets.faces\] scheme: "),
         ('["pts:a", "pts:b"]', '"pts:a"', 'data: expected a list of "FORMAT:PATH"'),
         ("[methods.regression3d]", "", "expected a 3D method among the methods"),
-        ("augmentations = [1, 4]", "augmentations = [1, 4, 4]", "augmentations: expected each but once"),
-        ("initialisations = [1, 3]", "initialisations = [3, 3]", "initialisations: expected each but once"),
+        ("augmentations = [1, 4]", "augmentations = [1, 4, 4]", "augmentations: expected each once"),
+        ("initialisations = [1, 3]", "initialisations = [3, 3]", "initialisations: expected each once"),
         ("[methods.sdm]", "[methods.sdm]\n[methods.SDM]\nmethod = 'sdm'", r"\[methods\]: two are called SDM"),
         (
             "[methods.sdm]",

@@ -5,11 +5,12 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import cv2
 import numpy as np
@@ -18,20 +19,25 @@ import pytest
 from jaxfit.errors import InputError
 from jaxfit.evaluation.plots import plot_ced, plot_pose_surface
 from jaxfit.evaluation.pose import PoseGrid
-from jaxfit.experiments.document import Document, Figure, Gallery, GalleryFace, Section, Table
-from jaxfit.experiments.figure_files import inline_svg
-from jaxfit.experiments.page import write_document
-from jaxfit.experiments.table_files import latex_table
+from jaxfit.experiments.latex import latex_table
+from jaxfit.experiments.page import write_files
+from jaxfit.experiments.report_parts import Gallery, GalleryFace, Report, ReportFigure, ReportTable, Section
+from jaxfit.experiments.svg import inline_svg
 from jaxfit.schemes.known import IBUG68
 
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
 pytest.importorskip("jinja2")
+PartKind = TypeVar("PartKind", ReportTable, ReportFigure)
 METHODS = ("SDM", "parametric", "3D alignment")
 SIDE = 96
 # What breaks pages whose texts are not escaped.
 HOSTILE = "</script><script>document.title = 'broken'</script>&amp;\"'"
 
 
-def grid_table(name: str, title: str, rng: np.random.Generator) -> Table:
+def grid_table(name: str, title: str, rng: np.random.Generator) -> ReportTable:
     steps = range(1, 8)
     rows = tuple(
         {
@@ -40,12 +46,12 @@ def grid_table(name: str, title: str, rng: np.random.Generator) -> Table:
         }
         for count in (1, 5, 10, 15, 20, 25)
     )
-    return Table(
+    return ReportTable(
         name, title, {"augmentations": "", **{str(step): ".4f" for step in steps}}, rows, "Mean NMED over faces."
     )
 
 
-def comparison_table() -> Table:
+def comparison_table() -> ReportTable:
     rows = (
         {"method": "SDM", "faces": 836, "mean": 0.07631, "± 95 %": 0.0021, "text": "0.0763 ± 0.0021", "p": None},
         {"method": "parametric", "faces": 836, "mean": 0.1 / 3, "± 95 %": 0.002, "text": "0.134 ± 0.0020", "p": 0.31},
@@ -53,24 +59,31 @@ def comparison_table() -> Table:
         {"method": HOSTILE, "faces": 1000, "mean": np.float32(0.2), "text": "0.02 ± 0.1", "p": np.float64(0.05)},
     )
     formats = {"method": "", "faces": "", "mean": ".4f", "± 95 %": ".4f", "text": "", "p": ".2g"}
-    return Table("table-7", "Methods on LFPW, 50 % < x_i & more", formats, rows)
+    return ReportTable("table-7", "Methods on LFPW, 50 % < x_i & more", formats, rows)
 
 
-def ced_figure(name: str, rng: np.random.Generator) -> Figure:
+def whole(ax: "matplotlib.axes.Axes") -> "matplotlib.figure.Figure":
+    """The figure of axes that are in no part of it."""
+    figure = ax.get_figure(root=True)
+    assert figure is not None
+    return figure
+
+
+def ced_figure(name: str, rng: np.random.Generator) -> ReportFigure:
     ax = plot_ced({method: rng.gamma(4.0, 0.02, 300) for method in METHODS})
     ax.set_title("cumulative error")
-    return Figure(name, f"CED of {name}", ax.figure, "Share of faces whose NMED is at most x.")
+    return ReportFigure(name, f"CED of {name}", whole(ax), "Share of faces whose NMED is at most x.")
 
 
-def surface_figure() -> Figure:
+def surface_figure() -> ReportFigure:
     pitches, yaws = np.arange(-90.0, 91, 30), np.arange(-90.0, 91, 15)
     mean = 4 + np.abs(yaws)[None] / 6 + np.abs(pitches)[:, None] / 5
     counts = np.ones(mean.shape, int)
     surface = plot_pose_surface(PoseGrid(pitches, yaws, mean, counts, 0 * counts), title="yaw")
-    return Figure("figure-20", "Error of yaw by pose", surface.figure)
+    return ReportFigure("figure-20", "Error of yaw by pose", whole(surface))
 
 
-def map_figure() -> Figure:
+def map_figure() -> ReportFigure:
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots(figsize=(9, 3))
@@ -78,7 +91,7 @@ def map_figure() -> Figure:
     ax.text(0.5, 0.5, "low", color="white")
     ax.text(3.5, 2.5, "high", color="black")
     ax.set_title("over colours")
-    return Figure("figure-map", "A map of colours, with texts that stay black and white", figure)
+    return ReportFigure("figure-map", "A map of colours, with texts that stay black and white", figure)
 
 
 def head_shape() -> np.ndarray:
@@ -107,7 +120,7 @@ def gallery_face(index: int, rng: np.random.Generator) -> GalleryFace:
     yaw, pitch = rng.uniform(-60, 60), rng.uniform(-30, 30)
     truth = SIDE * (0.15 + 0.7 * head_shape()) + rng.normal(0, 2, 2)
     blobs = cv2.GaussianBlur(rng.uniform(0, 255, (SIDE, SIDE)).astype(np.float32), (0, 0), 6)
-    pixels = cv2.normalize(blobs, None, 40, 220, cv2.NORM_MINMAX).astype(np.uint8)
+    pixels = cv2.normalize(blobs, blobs, 40, 220, cv2.NORM_MINMAX).astype(np.uint8)
     jpeg = None if index % 7 == 0 else cv2.imencode(".jpg", pixels)[1].tobytes()
     errors = dict(zip(METHODS, rng.gamma(4.0, 0.02, 3).tolist(), strict=True))
     fits = {method: truth + rng.normal(0, 12 * error, truth.shape) for method, error in errors.items()}
@@ -138,7 +151,7 @@ def sample_gallery(faces: int = 60) -> Gallery:
     return Gallery("Faces and their fits", tuple(gallery_face(i, rng) for i in range(faces)), lines, "Drawn faces.")
 
 
-def build() -> Document:
+def build() -> Report:
     """A report like the real ones."""
     rng = np.random.default_rng(5)
     grids = [(method, dataset) for dataset in ("LFPW", "AFLW") for method in METHODS][:4]
@@ -162,7 +175,7 @@ def build() -> Document:
             map_figure(),
         ),
     )
-    return Document(
+    return Report(
         "Face landmarks by cascaded regression: experiments",
         {"jaxfit": "1.4.0", "machine": "2 cores", "faces": "AFLW 2359, LFPW 836", "configuration": HOSTILE},
         (steps, methods, Section("Faces", (), (sample_gallery(),)), Section("Nothing to show")),
@@ -180,7 +193,7 @@ def agg() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def document() -> Document:
+def report() -> Report:
     import matplotlib
 
     matplotlib.use("Agg")
@@ -188,40 +201,40 @@ def document() -> Document:
 
 
 @pytest.fixture(scope="module")
-def report(document: Document, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(report: Report, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of the written report."""
     folder = tmp_path_factory.mktemp("report") / "new"
-    write_document(document, folder)
+    write_files(report, folder)
     return folder
 
 
-def parts(document: Document, kind: type) -> list:
+def parts(report: Report, kind: type[PartKind]) -> list[PartKind]:
     """The report's tables, or its figures, which are closed."""
-    return [part for section in document.sections for part in section.parts if isinstance(part, kind)]
+    return [part for section in report.sections for part in section.parts if isinstance(part, kind)]
 
 
-def small_document() -> Document:
+def small_report() -> Report:
     """One of each."""
     import matplotlib.pyplot as plt
 
     figure, ax = plt.subplots(figsize=(2, 1))
     ax.plot([0, 1], label="a line")
-    table = Table("numbers", "Numbers", {"n": "", "x": ".1f"}, ({"n": 1, "x": 0.25}, {"n": 2}), "Of no matter.")
-    drawn = Figure("drawing", "A drawing", figure, "Small.")
-    return Document("Small", {"made": "here"}, (Section("All", ("Few words.",), (table, drawn, sample_gallery(5))),))
+    table = ReportTable("numbers", "Numbers", {"n": "", "x": ".1f"}, ({"n": 1, "x": 0.25}, {"n": 2}), "Of no matter.")
+    drawn = ReportFigure("drawing", "A drawing", figure, "Small.")
+    return Report("Small", {"made": "here"}, (Section("All", ("Few words.",), (table, drawn, sample_gallery(5))),))
 
 
 def gallery_json(page: str) -> list[dict]:
     return [json.loads(text) for text in re.findall(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)]
 
 
-def test_every_table_can_be_read_back(document: Document, report: Path) -> None:
-    tables = parts(document, Table)
-    assert {path.name for path in (report / "tables").iterdir()} == {
+def test_every_table_can_be_read_back(report: Report, folder: Path) -> None:
+    tables = parts(report, ReportTable)
+    assert {path.name for path in (folder / "tables").iterdir()} == {
         f"{table.name}.{end}" for table in tables for end in ("csv", "tex")
     }
     for table in tables:
-        with open(report / "tables" / f"{table.name}.csv", encoding="utf-8", newline="") as file:
+        with open(folder / "tables" / f"{table.name}.csv", encoding="utf-8", newline="") as file:
             heading, *rows = csv.reader(file)
         assert heading == list(table.columns)
         assert len(rows) == len(table.rows)
@@ -230,7 +243,8 @@ def test_every_table_can_be_read_back(document: Document, report: Path) -> None:
                 if value is None or isinstance(value, str):
                     assert text == (value or "")
                 else:  # to the last bit
-                    np.testing.assert_array_equal(type(value)(text), value)
+                    kind: Any = type(value)
+                    np.testing.assert_array_equal(kind(text), value)
 
 
 def test_latex() -> None:
@@ -238,7 +252,7 @@ def test_latex() -> None:
         {"a_b & c": "50 % {of} \\x^2~#$", "Δ": -0.1234, "n": 3},
         {"a_b & c": "± 1 °", "Δ": None, "n": math.inf},
     )
-    table = Table("t", "Two\nlines", {"a_b & c": "", "Δ": ".2f", "n": ""}, rows)
+    table = ReportTable("t", "Two\nlines", {"a_b & c": "", "Δ": ".2f", "n": ""}, rows)
     assert latex_table(table).splitlines() == [
         "% Two lines",
         r"% Needs \usepackage{booktabs}.",
@@ -253,30 +267,31 @@ def test_latex() -> None:
     ]
 
 
-def test_figures_are_black_on_white_and_closed(document: Document, report: Path, tmp_path: Path) -> None:
+def test_figures_are_black_on_white_and_closed(report: Report, folder: Path, tmp_path: Path) -> None:
     import matplotlib.pyplot as plt
 
-    small = small_document()
+    small = small_report()
     assert plt.get_fignums()
-    write_document(small, tmp_path)
+    write_files(small, tmp_path)
     assert not plt.get_fignums()
-    for figure in parts(document, Figure):
-        pixels = cv2.imread(str(report / "figures" / f"{figure.name}.png"))
+    for figure in parts(report, ReportFigure):
+        pixels = cv2.imread(str(folder / "figures" / f"{figure.name}.png"))
+        assert pixels is not None
         assert (pixels[0] == 255).all()
         assert pixels.min() < 40
-        svg = (report / "figures" / f"{figure.name}.svg").read_text(encoding="utf-8")
+        svg = (folder / "figures" / f"{figure.name}.svg").read_text(encoding="utf-8")
         assert svg.startswith("<?xml")
         assert "var(" not in svg
 
 
-def test_drawings_in_the_page_follow_its_colours_and_share_no_id(document: Document, report: Path) -> None:
-    page = (report / "report.html").read_text(encoding="utf-8")
+def test_drawings_in_the_page_follow_its_colours_and_share_no_id(report: Report, folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     ids = re.findall(r'\bid="([^"]*)"', page)
     assert len(ids) == len(set(ids)) > 100
     referred = re.findall(r'(?:href="#|url\(#)([^")]*)', page)
     assert set(referred) <= set(ids)
     drawings = re.findall(r'class="drawing".*?</svg>', page, re.DOTALL)
-    assert len(drawings) == len(parts(document, Figure))
+    assert len(drawings) == len(parts(report, ReportFigure))
     for drawing in drawings:
         assert not re.search(r": #(000000|ffffff)\b", drawing)
         assert set(re.findall(r"var\((--grey-..)\)", drawing)) == set(re.findall(r"(--grey-..):", drawing))
@@ -293,18 +308,18 @@ def test_greys_lie_between_ink_and_ground() -> None:
     )
 
 
-def test_the_page_refers_to_nothing_outside(document: Document, report: Path) -> None:
-    page = (report / "report.html").read_text(encoding="utf-8")
+def test_the_page_refers_to_nothing_outside(report: Report, folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     assert not re.findall(r"https?://|@import|url\((?!#)", page)
     sources = re.findall(r'(?:src|href)="([^"]*)"', page)
     links = [source for source in sources if not source.startswith(("#", "data:"))]
-    assert len(links) == 2 * (len(parts(document, Table)) + len(parts(document, Figure)))
-    assert all((report / link).is_file() for link in links)
+    assert len(links) == 2 * (len(parts(report, ReportTable)) + len(parts(report, ReportFigure)))
+    assert all((folder / link).is_file() for link in links)
 
 
 def test_the_same_document_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in "ab":
-        write_document(small_document(), tmp_path / name)
+        write_files(small_report(), tmp_path / name)
     files = sorted(path.relative_to(tmp_path / "a") for path in (tmp_path / "a").rglob("*") if path.is_file())
     assert len(files) == 2 + 2 + 2  # two pages, the files of a table, and of a figure
     for file in files:
@@ -315,16 +330,16 @@ def test_the_same_document_gives_the_same_bytes(tmp_path: Path) -> None:
     )
 
 
-def test_texts_are_escaped(report: Path) -> None:
-    page = (report / "report.html").read_text(encoding="utf-8")
+def test_texts_are_escaped(folder: Path) -> None:
+    page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<script>document" not in page
     assert "<b>nothing" not in page
     (data,) = gallery_json(page)
     assert data["faces"][3]["name"] == HOSTILE
 
 
-def test_galleries_hold_faces_to_a_tenth_of_a_pixel(report: Path) -> None:
-    (data,) = gallery_json((report / "report.html").read_text(encoding="utf-8"))
+def test_galleries_hold_faces_to_a_tenth_of_a_pixel(folder: Path) -> None:
+    (data,) = gallery_json((folder / "report.html").read_text(encoding="utf-8"))
     gallery = sample_gallery()
     assert [tuple(map(tuple, lines)) for lines in data["lines"]] == [gallery.lines[name] for name in data["datasets"]]
     for stored, face in zip(data["faces"], gallery.faces, strict=True):
@@ -340,61 +355,72 @@ def test_galleries_hold_faces_to_a_tenth_of_a_pixel(report: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", "a b", ".x", "x.", "a..b", 'a"b', "ü", "x\n"])
 def test_names_must_be_file_names(name: str, tmp_path: Path) -> None:
-    table = Table(name, "t", {"a": ""}, ())
+    table = ReportTable(name, "t", {"a": ""}, ())
     with pytest.raises(InputError, match="letters and digits"):
-        write_document(Document("d", {}, (Section("s", (), (table,)),)), tmp_path / "out")
+        write_files(Report("d", {}, (Section("s", (), (table,)),)), tmp_path / "out")
     assert not list(tmp_path.iterdir())
 
 
 def test_names_must_differ_even_where_case_is_not_told(tmp_path: Path) -> None:
-    table = Table("t-0.1", "t", {"a": ""}, ({"a": 1},))
+    table = ReportTable("t-0.1", "t", {"a": ""}, ({"a": 1},))
     section = Section("s", (), (table, replace(table, name="T-0.1")))
     with pytest.raises(InputError, match=r"T-0\.1"):
-        write_document(Document("d", {}, (section,)), tmp_path)
-    write_document(Document("d", {}, (replace(section, parts=(table,)),)), tmp_path)
+        write_files(Report("d", {}, (section,)), tmp_path)
+    write_files(Report("d", {}, (replace(section, parts=(table,)),)), tmp_path)
     assert (tmp_path / "tables" / "t-0.1.csv").read_text(encoding="utf-8") == "a\n1\n"
 
 
 def test_without_jinja2_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(InputError, match=r'pip install "jaxfit\[experiments\]"'):
-        write_document(Document("d"), tmp_path)
+        write_files(Report("d"), tmp_path)
 
 
 # In a browser.
 
 
-@pytest.fixture
-def opened(browser, report: Path) -> Callable:
-    """Opens the report; when done with it, there must have been no error and no request but for itself."""
+class OpenPage:
+    """The report in a browser: one page for all tests, which leave it as they found it, and are fast for that."""
+
+    def __init__(self, page: Any, address: str):
+        self._page, self._address = page, address
+        self._problems: list[str] = []
+        self._requests: list[str] = []
+        page.set_default_timeout(20_000)
+        page.on("console", lambda message: self._problems.append(message.text))
+        page.on("pageerror", lambda error: self._problems.append(str(error)))
+        page.on("request", lambda request: self._requests.append(request.url))
+        self._loaded = False
 
     @contextmanager
-    def show(width: int = 1280, height: int = 900, **options) -> Iterator:
-        context = browser.new_context(viewport={"width": width, "height": height}, **options)
-        try:
-            page = context.new_page()
-            page.set_default_timeout(20_000)
-            problems, requests = [], []
-            page.on("console", lambda message: problems.append(message.text))
-            page.on("pageerror", lambda error: problems.append(str(error)))
-            page.on("request", lambda request: requests.append(request.url))
-            address = (report / "report.html").as_uri()
-            page.goto(address)
-            assert page.title() == build_title
-            yield page
-            assert problems == []
-            assert [url for url in requests if not url.startswith("data:")] == [address]
-        finally:
-            context.close()
+    def __call__(self, width: int = 1280, fresh: bool = False) -> Iterator[Any]:
+        """The page at a width, loaded again if it must be ``fresh`` or a test before it failed; afterwards there must
+        have been no error and no request but for the page itself."""
+        page = self._page
+        page.set_viewport_size({"width": width, "height": 900})
+        if fresh or not self._loaded:
+            self._problems.clear()
+            self._requests.clear()
+            page.goto(self._address)
+        self._loaded = False
+        assert page.title() == "Face landmarks by cascaded regression: experiments"
+        yield page
+        assert self._problems == []
+        assert [url for url in self._requests if not url.startswith("data:")] == [self._address]
+        self._loaded = True
 
-    build_title = "Face landmarks by cascaded regression: experiments"
-    return show
+
+@pytest.fixture(scope="module")
+def opened(browser: Any, folder: Path) -> Iterator[OpenPage]:
+    context = browser.new_context()
+    yield OpenPage(context.new_page(), (folder / "report.html").as_uri())
+    context.close()
 
 
 @pytest.mark.parametrize("width", [390, 1280])
-def test_the_page_fits_and_follows_the_colour_scheme(opened: Callable, width: int) -> None:
+def test_the_page_fits_and_follows_the_colour_scheme(opened: OpenPage, width: int) -> None:
     with opened(width) as page:
-        for scheme in ("light", "dark"):
+        for scheme in ("dark", "light"):
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate("document.documentElement.scrollWidth") == width
             for element in ("body", ".card"):
@@ -423,7 +449,7 @@ SORTED = {
 }
 
 
-def test_headings_sort_tables(opened: Callable) -> None:
+def test_headings_sort_tables(opened: OpenPage) -> None:
     original = [row["method"] for row in comparison_table().rows]
     with opened() as page:
         table = page.locator('[id="tables/table-7"] table')
@@ -456,7 +482,7 @@ def test_headings_sort_tables(opened: Callable) -> None:
             assert table.locator("[aria-sort]").count() == 0
 
 
-def test_figures_open_large_and_go_back(document: Document, opened: Callable) -> None:
+def test_figures_open_large_and_go_back(report: Report, opened: OpenPage) -> None:
     with opened() as page:
         drawing, dialog = page.locator(".drawing").first, page.locator("dialog")
         small = drawing.locator("svg").bounding_box()
@@ -476,7 +502,7 @@ def test_figures_open_large_and_go_back(document: Document, opened: Callable) ->
         assert dialog.locator("h2").text_content() == "Error of yaw by pose"
         dialog.get_by_role("button", name="Close").click()
         assert dialog.is_hidden()
-        assert page.locator(".drawing svg").count() == len(parts(document, Figure))
+        assert page.locator(".drawing svg").count() == len(parts(report, ReportFigure))
 
 
 def expected_faces(
@@ -498,7 +524,7 @@ def expected_faces(
     return [face.face for face in kept]
 
 
-def test_gallery_filters(opened: Callable) -> None:
+def test_gallery_filters(opened: OpenPage) -> None:
     with opened() as page:
         gallery = page.locator(".gallery")
 
@@ -536,11 +562,11 @@ def test_gallery_filters(opened: Callable) -> None:
         assert errors[-7:] == ["unmeasured"] * 7
 
 
-def test_faces_show_truth_and_the_fit_of_the_method_and_enlarge(opened: Callable) -> None:
+def test_faces_show_truth_and_the_fit_of_the_method_and_enlarge(opened: OpenPage) -> None:
     gallery = sample_gallery()
     by_name = {face.face: face for face in gallery.faces}
     names = expected_faces("parametric")
-    with opened(390) as page:
+    with opened(390, fresh=True) as page:
         page.locator(".gallery").get_by_label("Method").select_option("parametric")
         card = page.locator(".face").first
         card.scroll_into_view_if_needed()
