@@ -119,3 +119,20 @@ def box_array(boxes: ArrayLike, count: int) -> np.ndarray:
             f"got an array {array.shape}"
         )
     return array
+
+
+def rotation_array(rotations: ArrayLike | None, count: int) -> np.ndarray:
+    """Rotations as an array (N,), in degrees, one for each of ``count`` boxes; zeros for None.
+
+    Raises:
+        InputError: they are none, or not finite.
+    """
+    if rotations is None:
+        return np.zeros(count)
+    try:
+        array = np.asarray(rotations, np.float64)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise InputError(f"expected a rotation in degrees for each of {count} boxes; got {rotations!r}")
+    return array

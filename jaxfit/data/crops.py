@@ -1,6 +1,7 @@
 """Fixed-size grey crops around faces, and the way from crop pixels to image pixels and back.
 
-A crop is an axis-aligned, evenly scaled part of its image: image point = ``scale`` · crop point + ``offset``.
+A crop is an evenly scaled and turned part of its image: image point = ``scale`` · R · crop point + ``offset``, with R the
+rotation by ``rotation``.
 Where to cut is worked out in plain numbers: on arrays of two it takes as long as the cutting.
 """
 
@@ -26,11 +27,13 @@ class Crop(NamedTuple):
         pixels: (crop, crop) uint8.
         scale: image pixels per crop pixel.
         offset: (2,) float64, the image point, x and y in pixels, under the centre of the crop's first pixel.
+        rotation: of the crop in the image, in radians, clockwise as seen.
     """
 
     pixels: np.ndarray
     scale: float
     offset: np.ndarray
+    rotation: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +45,20 @@ class Crops:
         pixels: (N, crop, crop) uint8.
         scale: (N,) float64, image pixels per crop pixel.
         offset: (N, 2) float64, the image point under the centre of each crop's first pixel.
+        rotation: (N,) float64, of each crop in its image, in radians, clockwise as seen.
     """
 
     frame: Frame
     pixels: np.ndarray
     scale: np.ndarray
     offset: np.ndarray
+    rotation: np.ndarray
 
     @classmethod
     def empty(cls, count: int, frame: Frame) -> "Crops":
         """Black crops, each the first pixels of its picture."""
         pixels = np.zeros((count, frame.crop, frame.crop), np.uint8)
-        return cls(frame, pixels, np.ones(count), np.zeros((count, 2)))
+        return cls(frame, pixels, np.ones(count), np.zeros((count, 2)), np.zeros(count))
 
     @classmethod
     def join(cls, parts: Sequence["Crops"]) -> "Crops":
@@ -70,9 +75,9 @@ class Crops:
         return Crops(self.frame, *(values[chosen] for values in self.arrays))
 
     @property
-    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pixels, scales and offsets."""
-        return self.pixels, self.scale, self.offset
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Pixels, scales, offsets and rotations."""
+        return self.pixels, self.scale, self.offset, self.rotation
 
     def to_images(self, points: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
         """Points (M, L, 2) of the crops numbered ``rows`` (M,), all if None, from their pixels to the pictures'."""
@@ -82,38 +87,48 @@ class Crops:
         """Points (M, L, 2), from pixels of the pictures to those of the crops numbered ``rows`` (M,), all if None."""
         return to_crop(points, *self._lenses(rows))
 
-    def _lenses(self, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    def _lenses(self, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         chosen = slice(None) if rows is None else rows
-        return self.scale[chosen][:, None, None], self.offset[chosen][:, None]
+        return self.scale[chosen][:, None, None], self.offset[chosen][:, None], self.rotation[chosen][:, None]
 
 
-def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, row: int) -> None:
+def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, row: int, rotation: float = 0.0) -> None:
     """Fill crop ``row`` with the crop of a face; arguments and errors are those of :func:`cut_face`."""
-    crops.pixels[row], crops.scale[row], crops.offset[row] = cut_face(grey, centre, face_side, crops.frame)
+    found = cut_face(grey, centre, face_side, crops.frame, rotation)
+    crops.pixels[row], crops.scale[row], crops.offset[row], crops.rotation[row] = found
 
 
-def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame) -> Crop:
-    """The crop of a grey picture, uint8 (H, W), that shows a face at the frame's size in its middle.
+def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame, rotation: float = 0.0) -> Crop:
+    """The crop of a grey picture, uint8 (H, W), that shows a face upright and at the frame's size in its middle.
 
-    Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift`` from
-    the pixels that they mark.
+    Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift``, along
+    the crop's axes, from the pixels that they mark.
 
     Args:
         grey: (H, W) uint8.
         centre: (2,) x, y of the image point that comes to the crop's centre, ``frame.middle``.
         face_side: how many image pixels become ``frame.face`` crop pixels.
         frame: the sizes.
+        rotation: how far the face is turned in the picture, in radians, clockwise as seen.
 
     Raises:
-        InputError: the centre or the side is not finite, or the side is not positive.
+        InputError: the centre, the side or the rotation is not finite, or the side is not positive.
     """
     across, down = map(float, centre)
-    if not (math.isfinite(across) and math.isfinite(down) and math.isfinite(face_side) and face_side > 0):
-        raise InputError(f"expected a finite centre and a positive face side; got {centre} and {face_side}")
+    if not (all(map(math.isfinite, (across, down, face_side, rotation))) and face_side > 0):
+        raise InputError(
+            f"expected a finite centre and rotation and a positive face side; got {centre}, {rotation} and {face_side}"
+        )
     scale = float(face_side) / frame.face
-    left, top = across - scale * frame.middle, down - scale * frame.middle
-    x, y = left - frame.shift, top - frame.shift
-    columns, rows = _side(grey.shape[1], x, scale, frame.crop), _side(grey.shape[0], y, scale, frame.crop)
+    cos, sin = math.cos(rotation), math.sin(rotation)
+    # The middle's arm to the first pixel, turned; and how far the turned crop reaches along the picture's axes.
+    left, top = across - scale * (frame.middle * (cos - sin)), down - scale * (frame.middle * (cos + sin))
+    x, y = left - frame.shift * (cos - sin), top - frame.shift * (cos + sin)
+    reach = frame.middle * (abs(cos) + abs(sin))
+    wide = math.ceil(2 * reach) + 1
+    corner = scale * (reach - frame.middle * (cos - sin)), scale * (reach - frame.middle * (cos + sin))
+    columns = _side(grey.shape[1], x - corner[0], scale, wide)
+    rows = _side(grey.shape[0], y - corner[1], scale, wide)
     part = _shrunk(grey[rows.low : rows.high, columns.low : columns.high], columns, rows)
     # Left to shrink is less than twofold: a bilinear sample a crop pixel, or four where one would miss much.
     samples = 2 if scale / max(1, int(scale)) > _ONE_SAMPLE else 1
@@ -122,7 +137,10 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
     pixels = cv2.warpAffine(
         part,
         np.array(
-            [[step / columns.block, 0, columns.at(x + between)], [0, step / rows.block, rows.at(y + between)]],
+            [
+                [step * cos / columns.block, -step * sin / columns.block, columns.at(x + between * (cos - sin))],
+                [step * sin / rows.block, step * cos / rows.block, rows.at(y + between * (cos + sin))],
+            ],
         ),
         (frame.crop * samples, frame.crop * samples),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -130,17 +148,31 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
     )
     if samples > 1:
         pixels = cv2.resize(pixels, (frame.crop, frame.crop), interpolation=cv2.INTER_AREA)
-    return Crop(pixels, scale, np.array((left, top)))
+    return Crop(pixels, scale, np.array((left, top)), rotation)
 
 
-def to_image(points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Crop points (..., 2) as image points, both in pixels; for batches, ``scale`` and ``offset`` must broadcast."""
-    return points * scale + offset
+def to_image(
+    points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray, rotation: float | np.ndarray = 0.0
+) -> np.ndarray:
+    """Crop points (..., 2) as image points, both in pixels; for batches, the others must broadcast: ``scale`` and
+    ``offset`` with the points, ``rotation``, in radians, with one of their coordinates."""
+    return turned(points, rotation) * scale + offset
 
 
-def to_crop(points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray) -> np.ndarray:
+def to_crop(
+    points: np.ndarray, scale: float | np.ndarray, offset: np.ndarray, rotation: float | np.ndarray = 0.0
+) -> np.ndarray:
     """Image points (..., 2) as crop points, both in pixels: the inverse of :func:`to_image`."""
-    return (points - offset) / scale
+    return turned((points - offset) / scale, -np.asarray(rotation))
+
+
+def turned(points: np.ndarray, rotation: float | np.ndarray) -> np.ndarray:
+    """Points (..., 2) turned about the origin by angles in radians, clockwise as seen."""
+    if not np.any(rotation):
+        return points
+    cos, sin = np.cos(rotation), np.sin(rotation)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([x * cos - y * sin, x * sin + y * cos], -1)
 
 
 class _Side(NamedTuple):

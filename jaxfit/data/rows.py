@@ -10,14 +10,15 @@ import numpy as np
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
-# A face as plain JSON values: image, face, size, box, landmarks; confidence, if the model has one; and pose, scale,
+# A face as plain JSON values: image, face, size, box, ok, landmarks; confidence, if the model has one; and pose, scale,
 # landmarks_3d and b of 3D models. Lengths are in pixels of the picture.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
 TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of numbers
 HEAD = "head_"  # before the columns of heads, in tables that have both
-_BOX = ("x", "y", "width", "height")
+_BOX = ("x", "y", "width", "height", "rotation")
+FLAGS = ("ok",)  # columns of yes and no
 _DIGITS = 3  # after the point
 
 
@@ -54,18 +55,18 @@ def rounded(values: np.ndarray | np.floating) -> Any:
 def landmark_columns(scheme: Scheme, confident: bool) -> tuple[str, ...]:
     """The columns of ``landmarks.csv``."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xy"]
-    return (*TEXTS[:3], *_BOX, *["confidence"] * confident, *points)
+    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points)
 
 
 def head_columns(scheme: Scheme, modes: int) -> tuple[str, ...]:
     """The columns of ``heads.csv``."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xyz"]
-    return (*TEXTS[:2], *ANGLES, "scale", *points, *(f"b{number}" for number in range(1, modes + 1)))
+    return (*TEXTS[:2], *FLAGS, *ANGLES, "scale", *points, *(f"b{number}" for number in range(1, modes + 1)))
 
 
 def columns_of(scheme: Scheme, modes: int | None, confident: bool) -> tuple[str, ...]:
     """The columns of both tables, those of heads, but the names, with ``head_`` before them."""
-    heads = () if modes is None else head_columns(scheme, modes)[2:]
+    heads = () if modes is None else head_columns(scheme, modes)[3:]
     return (*landmark_columns(scheme, confident), *(f"{HEAD}{name}" for name in heads))
 
 
@@ -74,6 +75,8 @@ def flat_row(row: Row) -> dict[str, Any]:
     flat: dict[str, Any] = {"image": row["image"], "face": row.get("face", "")}
     box = row.get("box", {})
     flat |= {"box": box.get("kind", ""), **{name: box[name] for name in _BOX if name in box}}
+    if "ok" in row:
+        flat["ok"] = row["ok"]
     if "confidence" in row:
         flat["confidence"] = row["confidence"]
     for number, (x, y) in enumerate(row.get("landmarks", ()), 1):
@@ -87,13 +90,13 @@ def flat_row(row: Row) -> dict[str, Any]:
     return flat
 
 
-def table_values(name: str, row: Row) -> list[str | float]:
+def table_values(name: str, row: Row) -> list[str | float | bool]:
     """The values of a row in the table ``landmarks`` or ``heads``, in the order of its columns."""
     if name == "landmarks":
         box = row["box"]
         confidence = [row["confidence"]] if "confidence" in row else []
-        return [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), *confidence] + list(
+        return [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence] + list(
             chain.from_iterable(row["landmarks"])
         )
     points = chain.from_iterable(row["landmarks_3d"])
-    return [row["image"], row["face"], *row["pose"].values(), row["scale"], *points, *row["b"]]
+    return [row["image"], row["face"], row["ok"], *row["pose"].values(), row["scale"], *points, *row["b"]]

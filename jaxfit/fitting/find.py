@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
 from jaxfit.data.pictures import Images, Read, require_several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
@@ -22,12 +22,14 @@ class Found:
         pictures: (N,) int, the number of each face's picture.
         boxes: (N, 4) x, y, width, height, in pixels of the picture.
         kinds: what drew each box.
+        rotations: (N,) how far each face is turned in its picture, in degrees, clockwise as seen.
         problems: of pictures without a face.
     """
 
     pictures: np.ndarray
     boxes: np.ndarray
     kinds: tuple[str, ...]
+    rotations: np.ndarray
     problems: tuple[Problem, ...]
 
 
@@ -35,6 +37,7 @@ def find_faces(
     images: Images,
     detector: str | Detector = DEFAULT_DETECTOR,
     *,
+    search: Search = Search(),
     read: Read | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Found:
@@ -43,6 +46,7 @@ def find_faces(
     Args:
         images: N pictures, as in ``jaxfit.fit``.
         detector: as in ``jaxfit.detect_faces``; its boxes must be of finite numbers.
+        search: how faces are looked for, by detectors that come by name.
         read: makes an array of a file, in threads; by default pictures are turned upright as their EXIF data say.
         progress: called with the stage's name, pictures done and pictures in all.
 
@@ -50,7 +54,7 @@ def find_faces(
         InputError: there is no such detector, or one picture comes instead of a sequence.
     """
     require_several(images)
-    finder = detector_named(detector) if isinstance(detector, str) else detector
+    finder = detector_named(detector, search) if isinstance(detector, str) else detector
     sources = [Source(image, name_of(image)) for image in images]
 
     def found_in(source: Source) -> Seen:
@@ -66,6 +70,7 @@ def find_faces(
         pictures=np.repeat(np.arange(len(seen)), [len(one.boxes) for one in seen]),
         boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in seen)]),
         kinds=tuple(kind for one in seen for kind in one.kinds),
+        rotations=np.concatenate([np.empty(0), *(one.rotations for one in seen)]),
         problems=tuple(
             Problem(number, source.name, one.why)
             for number, (source, one) in enumerate(zip(sources, seen, strict=True))

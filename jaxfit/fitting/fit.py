@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import box_array
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.boxes import box_array, rotation_array
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
 from jaxfit.data.pictures import Image, Images, Read, require_several
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
@@ -24,7 +24,9 @@ def fit(
     boxes: ArrayLike | None = None,
     *,
     kind: str | Sequence[str] = SQUARE,
+    rotations: ArrayLike | None = None,
     detector: str | Detector | None = None,
+    search: Search = Search(),
     starts: Starts = Starts(),
     passes: int | None = None,
     read: Read | None = None,
@@ -47,7 +49,11 @@ def fit(
         boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
         kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
             that a model knows stand in ``model.known_placements``. One for all, or N of them.
-        detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default ``"haar"``.
+        rotations: (N,) how far the faces in the boxes are turned in the pictures, in degrees, clockwise as seen: they
+            are fitted upright. None: not at all.
+        detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default
+            ``"yunet"``.
+        search: how faces are looked for if there are no boxes: the smallest face, the detector's score, any rotation.
         starts: how many starts each face has; several are worth their time where faces may be turned in the picture and
             the model was trained for it.
         passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
@@ -62,40 +68,42 @@ def fit(
     """
     require_several(images)
     if boxes is None:
-        return _fit_found(model, images, kind, detector, starts, passes, read, progress)
+        if kind != SQUARE or rotations is not None:
+            raise InputError(
+                "expected boxes of this kind or with these rotations; without boxes, the detector says both"
+            )
+        finder = _finder(detector, search)
+        pipeline = Pipeline(model, finder, starts, passes_from(finder) if passes is None else passes, read)
+        sources = [Source(image, name_of(image)) for image in images]
+        (fits,) = stream(pipeline, [sources], len(sources), progress)
+        return fits
     if detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
     pipeline = Pipeline(model, starts=starts, passes=1 if passes is None else passes, read=read)
-    sources = sources_of(model, images, boxes, kind)
+    sources = sources_of(model, images, boxes, kind, rotations)
     return fits_of_sources(pipeline, sources, progress)
 
 
-def _fit_found(
+def _finder(detector: str | Detector | None, search: Search) -> Detector:
+    """What looks for faces."""
+    if isinstance(detector, str | None):
+        return detector_named(detector or DEFAULT_DETECTOR, search)
+    if search != Search():
+        raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
+    return detector
+
+
+def sources_of(
     model: Model,
     images: Images,
-    kind: str | Sequence[str],
-    detector: str | Detector | None,
-    starts: Starts,
-    passes: int | None,
-    read: Read | None,
-    progress: Progress,
-) -> Fits:
-    if kind != SQUARE:
-        raise InputError(
-            f"expected boxes of the kind {kind!r}; without boxes, the detector says of what kind its own are"
-        )
-    finder = detector_named(detector or DEFAULT_DETECTOR) if isinstance(detector, str | None) else detector
-    pipeline = Pipeline(model, finder, starts, passes_from(finder) if passes is None else passes, read)
-    sources = [Source(image, name_of(image)) for image in images]
-    (fits,) = stream(pipeline, [sources], len(sources), progress)
-    return fits
-
-
-def sources_of(model: Model, images: Images, boxes: ArrayLike, kind: str | Sequence[str]) -> list[Source]:
+    boxes: ArrayLike,
+    kind: str | Sequence[str] = SQUARE,
+    rotations: ArrayLike | None = None,
+) -> list[Source]:
     """Pictures with a box each, as in `fit`; the same picture several times in a row becomes one source.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
+        InputError: ``boxes`` is not (N, 4), ``rotations`` is not (N,), or ``kind`` is unknown.
     """
     count = len(images)
     kinds = (kind,) * count if isinstance(kind, str) else tuple(kind)
@@ -103,14 +111,14 @@ def sources_of(model: Model, images: Images, boxes: ArrayLike, kind: str | Seque
         raise InputError(f"expected one kind of box, or one for each of {count} images; got {len(kinds)}")
     for each in {*kinds}:
         model.placement(each)
-    array = box_array(boxes, count)
+    array, turned = box_array(boxes, count), rotation_array(rotations, count)
     given = list(images)  # held, so that no two have one id
     identities = [str(image) if isinstance(image, str | Path) else id(image) for image in given]
     sources = []
     for _, numbers in groupby(range(count), identities.__getitem__):
         rows = list(numbers)
         image = given[rows[0]]
-        sources.append(Source(image, name_of(image), array[rows], tuple(kinds[row] for row in rows)))
+        sources.append(Source(image, name_of(image), array[rows], tuple(kinds[row] for row in rows), turned[rows]))
     return sources
 
 

@@ -52,6 +52,7 @@ class Fits:
         pictures: (N,) the number of each face's picture among those given.
         boxes: (N, 4) x, y, width, height of the boxes that the fits started from, in pixels.
         kinds: what drew each box.
+        rotations: (N,) how far each face was turned in its picture when its fit began, in degrees, clockwise as seen.
         landmarks: (N, L, 2) float64, x right, y down, in the pixels of each picture; NaN for faces that could not be
             fitted.
         problems: of pictures without a face, and of faces that could not be fitted.
@@ -70,6 +71,7 @@ class Fits:
     pictures: np.ndarray
     boxes: np.ndarray
     kinds: tuple[str, ...]
+    rotations: np.ndarray
     landmarks: np.ndarray
     problems: tuple[Problem, ...] = ()
     landmarks_3d: np.ndarray | None = None
@@ -115,7 +117,7 @@ class Fits:
     @property
     def arrays(self) -> dict[str, Any]:
         """All arrays with a row a face, by name; those that a model does not have are left out."""
-        names = ("pictures", "boxes", "landmarks", *_OPTIONAL)
+        names = ("pictures", "boxes", "rotations", "landmarks", *_OPTIONAL)
         return {name: values for name in names if (values := getattr(self, name)) is not None}
 
     def __eq__(self, other: object) -> bool:
@@ -207,6 +209,7 @@ class Fits:
         entries: list[tuple[int, int, Any]] = [(int(picture), 0, row) for row, picture in enumerate(self.pictures)]
         entries += [(problem.picture, 1, problem) for problem in faceless]
         found: Counter[int] = Counter()
+        ok = self.ok.tolist()
         for picture, _, entry in sorted(entries, key=lambda entry: entry[:2]):
             row: Row = {"image": self.names[picture]}
             if isinstance(entry, Problem):
@@ -214,15 +217,17 @@ class Fits:
                 continue
             found[picture] += 1
             label = PurePath(self.names[picture]).stem if labels is None else labels[picture]
-            yield row | {"face": f"{label}_{found[picture]}"} | self._row(entry, picture, why.get(entry))
+            yield row | {"face": f"{label}_{found[picture]}"} | self._row(entry, picture, ok[entry], why.get(entry))
 
-    def _row(self, row: int, picture: int, problem: str | None) -> Row:
+    def _row(self, row: int, picture: int, ok: bool, problem: str | None) -> Row:
         width, height = self.sizes[picture].tolist()
         x, y, across, down = rounded(self.boxes[row])
         entry: Row = {
             "size": {"width": width, "height": height},
             "box": {"kind": self.kinds[row], "x": x, "y": y, "width": across, "height": down},
         }
+        entry["box"]["rotation"] = rounded(self.rotations[row])
+        entry["ok"] = ok
         if problem is not None:
             return entry | {PROBLEM: problem}
         entry["landmarks"] = rounded(self.landmarks[row])

@@ -23,7 +23,7 @@ from jaxfit.cascade.fit import find
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_problem
-from jaxfit.data.crops import Crops, cut, to_image
+from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detectors import Detector
 from jaxfit.data.pictures import Image, Read, pixels, read_image, read_upright, to_eight_bits, to_grey
 from jaxfit.data.threads import cores, in_order, reading_threads
@@ -31,6 +31,7 @@ from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
+from jaxfit.shapes.pose_order import turned_poses
 from jaxfit.shapes.space import ShapeSpace3D
 
 # Any number of faces is served by batches of these sizes, so that there are three compilations. Where there are several
@@ -53,12 +54,14 @@ class Source(NamedTuple):
         name: what it is called in results; empty for arrays.
         boxes: (n, 4) of its faces; None: they are looked for.
         kinds: what drew each box.
+        rotations: (n,) how far each face is turned in the picture, in degrees, clockwise as seen; None: not at all.
     """
 
     image: Image
     name: str = ""
     boxes: np.ndarray | None = None
     kinds: tuple[str, ...] = ()
+    rotations: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,7 @@ class _Looked(NamedTuple):
         size: its width and height; zeros if it could not be read.
         boxes: (n, 4) of its faces.
         kinds: what drew them.
+        rotations: (n,) how far each face is turned, in degrees.
         crops: one a face; black where it could not be cut.
         problems: why a face could not be cut, by its number.
         why: why there is no face in the picture; empty if there are some.
@@ -147,6 +151,7 @@ class _Looked(NamedTuple):
     size: tuple[int, int]
     boxes: np.ndarray
     kinds: tuple[str, ...]
+    rotations: np.ndarray
     crops: Crops
     problems: dict[int, str]
     why: str = ""
@@ -179,45 +184,56 @@ class Seen(NamedTuple):
         picture: uint8 (H, W) grey or (H, W, 3) RGB; None if it cannot be used.
         boxes: (n, 4) of its faces.
         kinds: what drew them.
+        rotations: (n,) how far each face is turned, in degrees.
         why: why there is no face in it; empty if there are some.
     """
 
     picture: np.ndarray | None
     boxes: np.ndarray
     kinds: tuple[str, ...]
+    rotations: np.ndarray
     why: str = ""
 
 
 def see(source: Source, detector: Detector | None, read: Read | None) -> Seen:
     """Read a picture, once, and find its faces unless they are known; arguments are those of `Pipeline`."""
-    image, _, boxes, kinds = source
-    nowhere = np.empty((0, 4)) if boxes is None else boxes
-    if boxes is not None and np.isnan(boxes).all():
-        return Seen(None, boxes, kinds, NO_BOX)  # not read: nothing would be done with it
-    searching = detector if boxes is None else None
+    searching = detector if source.boxes is None else None
+    boxes = np.empty((0, 4)) if source.boxes is None else source.boxes
+    rotations = np.zeros(len(boxes)) if source.rotations is None else source.rotations
+    unused = Seen(None, boxes, source.kinds, rotations)
+    if source.boxes is not None and np.isnan(boxes).all():
+        return unused._replace(why=NO_BOX)  # not read: nothing would be done with it
     if read is None:
         read = read_image if searching is not None and searching.colour else read_upright
+    image = source.image
     try:
         picture = to_eight_bits(pixels(image, read))
-        if searching is not None:
-            picture = picture if searching.colour else to_grey(picture)
-            found = searching(picture)
-            nowhere = np.array([face.box for face in found], np.float64).reshape(-1, 4)
-            kinds = tuple(face.kind for face in found)
+        if searching is None:
+            return unused._replace(picture=picture, why="" if len(boxes) else NO_BOX)
+        picture = picture if searching.colour else to_grey(picture)
+        found = searching(picture)
     except (ImageError, OSError) as error:
         why = str(error).removeprefix(f"{Path(image)}: ") if isinstance(image, str | Path) else str(error)
-        return Seen(None, nowhere, kinds, why)
-    return Seen(picture, nowhere, kinds, "" if len(nowhere) else NO_BOX if searching is None else NO_FACE)
+        return unused._replace(why=why)
+    return Seen(
+        picture,
+        np.array([face.box for face in found], np.float64).reshape(-1, 4),
+        tuple(face.kind for face in found),
+        np.array([face.rotation for face in found]),
+        "" if found else NO_FACE,
+    )
 
 
 def _look(pipeline: Pipeline, source: Source) -> _Looked:
     """Read a picture, find its faces unless they are known, and cut them."""
-    picture, boxes, kinds, why = see(source, pipeline.detector, pipeline.read)
+    picture, boxes, kinds, rotations, why = see(source, pipeline.detector, pipeline.read)
     if picture is None:
         crops = Crops.empty(len(boxes), pipeline.model.cascade.frame)
-        return _Looked(source.name, (0, 0), boxes, kinds, crops, dict.fromkeys(range(len(boxes)), why), why)
-    crops, problems = _cut_faces(pipeline.model, to_grey(picture), boxes, kinds)
-    return _Looked(source.name, (picture.shape[1], picture.shape[0]), boxes, kinds, crops, problems, why)
+        unread = dict.fromkeys(range(len(boxes)), why)
+        return _Looked(source.name, (0, 0), boxes, kinds, rotations, crops, unread, why)
+    crops, problems = _cut_faces(pipeline.model, to_grey(picture), boxes, kinds, rotations)
+    size = (picture.shape[1], picture.shape[0])
+    return _Looked(source.name, size, boxes, kinds, rotations, crops, problems, why)
 
 
 def cut_source(pipeline: Pipeline, source: Source) -> tuple[Crops, dict[int, str]]:
@@ -226,18 +242,20 @@ def cut_source(pipeline: Pipeline, source: Source) -> tuple[Crops, dict[int, str
     return looked.crops, looked.problems
 
 
-def _cut_faces(model: Model, grey: np.ndarray, boxes: np.ndarray, kinds: Sequence[str]) -> tuple[Crops, dict[int, str]]:
-    """The crops (n) of the faces in boxes (n, 4) of a grey picture, uint8 (H, W); black, with a reason by the face's
-    number, where there is nothing to cut."""
+def _cut_faces(
+    model: Model, grey: np.ndarray, boxes: np.ndarray, kinds: Sequence[str], rotations: np.ndarray
+) -> tuple[Crops, dict[int, str]]:
+    """The crops (n) of the faces in boxes (n, 4) of a grey picture, uint8 (H, W), turned by rotations (n,) in degrees;
+    black, with a reason by the face's number, where there is nothing to cut."""
     crops = Crops.empty(len(boxes), model.cascade.frame)
     problems: dict[int, str] = {}
-    for row, (box, kind) in enumerate(zip(boxes, kinds, strict=True)):
+    for row, (box, kind, rotation) in enumerate(zip(boxes, kinds, np.radians(rotations).tolist(), strict=True)):
         if np.isnan(box).all():
             problems[row] = NO_BOX
         elif complaint := box_problem(box, grey.shape):
             problems[row] = complaint
         else:
-            cut(grey, *model.placement(kind).face_in(box), crops, row)
+            cut(grey, *model.placement(kind).face_in(box, rotation), crops, row, rotation)
     return crops, problems
 
 
@@ -314,6 +332,7 @@ class _Group:
         self._sizes: list[tuple[int, int]] = []
         self._boxes: list[np.ndarray] = [np.empty((0, 4))]
         self._kinds: list[str] = []
+        self._rotations: list[np.ndarray] = [np.empty(0)]
         self._pictures: list[int] = []
         self._problems: list[Problem] = []
         self._found: list[tuple[np.ndarray, _Found]] = []
@@ -325,6 +344,7 @@ class _Group:
         self._sizes.append(picture.size)
         self._boxes.append(picture.boxes)
         self._kinds += picture.kinds
+        self._rotations.append(picture.rotations)
         self._pictures += [number] * count
         if not count:
             self._problems.append(Problem(number, picture.name, picture.why))
@@ -360,6 +380,7 @@ class _Group:
             pictures=np.array(self._pictures, int),
             boxes=np.concatenate(self._boxes),
             kinds=tuple(self._kinds),
+            rotations=np.concatenate(self._rotations),
             problems=tuple(sorted(problems, key=lambda problem: (problem.picture, problem.row or 0))),
             **arrays,
         )
@@ -375,13 +396,13 @@ def _shapes(model: Model) -> dict[str, tuple[int, ...]]:
 
 def in_pictures(crops: Crops, found: _Found) -> _Found:
     """What was found in crops, in the pixels of the pictures, float64."""
-    scale, offset = crops.scale, crops.offset
     found = {name: values.astype(np.float64) for name, values in found.items()}
-    found["landmarks"] = to_image(found["landmarks"], scale[:, None, None], offset[:, None])
+    found["landmarks"] = crops.to_images(found["landmarks"])
     if "landmarks_3d" in found:
-        flat = to_image(found["landmarks_3d"][..., :2], scale[:, None, None], offset[:, None])
-        depths = found["landmarks_3d"][..., 2:] * scale[:, None, None]
-        found |= {"landmarks_3d": np.concatenate([flat, depths], -1), "scale": found["scale"] * scale}
+        flat = crops.to_images(found["landmarks_3d"][..., :2])
+        depths = found["landmarks_3d"][..., 2:] * crops.scale[:, None, None]
+        found |= {"landmarks_3d": np.concatenate([flat, depths], -1), "scale": found["scale"] * crops.scale}
+        found["pose"] = turned_poses(found["pose"], np.degrees(crops.rotation))
     return found
 
 

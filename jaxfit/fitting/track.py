@@ -1,5 +1,6 @@
 """Faces through videos: the landmarks of one frame start the fit of the next, and people keep their numbers."""
 
+import math
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
@@ -8,10 +9,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
+import jax
 import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, detector_named
 from jaxfit.data.detectors.detector import holds, overlap
 from jaxfit.data.pictures import to_eight_bits, to_grey
 from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
@@ -21,6 +23,8 @@ from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.one_euro import OneEuro, Smoothed
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.shapes.pose_order import wrapped_degrees
+from jaxfit.shapes.procrustes import align_similarity
+from jaxfit.types import Landmarks, Scalar
 
 # Confidence that makes a face, and that keeps it; so many frames in a row it may fall below that.
 _BORN, _KEPT, _WEAK_FRAMES = 0.5, 0.3, 3
@@ -67,6 +71,7 @@ def track(
     frames: str | Path | int | Video | Iterable[np.ndarray],
     *,
     detector: str | Detector = DEFAULT_DETECTOR,
+    search: Search = Search(),
     redetect_every: int = 10,
     smoothing: OneEuro | None = None,
     frame_rate: float = DEFAULT_FRAME_RATE,
@@ -80,7 +85,8 @@ def track(
         model: from ``jaxfit.load``.
         frames: a video file, the number of a camera, a `jaxfit.Video`, or frames: uint8 arrays, (H, W) grey or
             (H, W, 3) RGB.
-        detector: as in `Tracker`, like the two below.
+        detector: as in `Tracker`, like the three below.
+        search: how faces are looked for.
         redetect_every: in frames.
         smoothing: ``jaxfit.OneEuro()``, or None.
         frame_rate: frames a second, if they come as arrays; files and cameras know the time.
@@ -92,7 +98,7 @@ def track(
         raise InputError(f"expected a frame rate above 0 a second; got {frame_rate}")
     if isinstance(frames, np.ndarray) and frames.ndim < 3:
         raise InputError(f"expected several frames; got one array {frames.shape}: put it in a list")
-    tracker = Tracker(model, detector, redetect_every=redetect_every, smoothing=smoothing)
+    tracker = Tracker(model, detector, search=search, redetect_every=redetect_every, smoothing=smoothing)
     # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
     opened = Video(frames) if isinstance(frames, str | Path | int) else frames
     return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
@@ -127,9 +133,10 @@ class _Face(NamedTuple):
 
 
 class _Square(NamedTuple):
-    """Where a face was: a square (4,) and when."""
+    """Where a face was: a square (4,), how far the face was turned, in degrees, and when."""
 
     box: np.ndarray
+    rotation: float
     seconds: float
 
 
@@ -177,6 +184,7 @@ class Tracker:
     Args:
         model: from ``jaxfit.load``.
         detector: as in ``jaxfit.detect_faces``.
+        search: how faces are looked for, by detectors that come by name.
         redetect_every: frames from one look for new faces to the next.
         smoothing: of the landmarks and the pose that come out, or None; it has no part in the fits.
 
@@ -190,6 +198,7 @@ class Tracker:
         model: Model,
         detector: str | Detector = DEFAULT_DETECTOR,
         *,
+        search: Search = Search(),
         redetect_every: int = 10,
         smoothing: OneEuro | None = None,
     ):
@@ -198,7 +207,7 @@ class Tracker:
         self.model = model
         self.smoothing = smoothing
         self.redetect_every = redetect_every
-        self._detect = detector_named(detector) if isinstance(detector, str) else detector
+        self._detect = detector_named(detector, search) if isinstance(detector, str) else detector
         for kind in self._detect.kinds:
             model.placement(kind)
         self._tracks: list[_Track] = []  # oldest first
@@ -276,7 +285,8 @@ class Tracker:
         """The faces known from the frame before."""
         tracks, self._tracks = self._tracks, []
         starts = [track.expected(seconds) for track in tracks]
-        fits = fit(self.model, [picture] * len(tracks), starts)
+        turns = [track.last.rotation for track in tracks]
+        fits = fit(self.model, [picture] * len(tracks), starts, rotations=turns)
         faces = []
         for row, (track, start) in enumerate(zip(tracks, starts, strict=True)):
             square = _square_around(fits, row, picture)
@@ -304,7 +314,9 @@ class Tracker:
             seen = any(_one_face(track.last.box, square) for _, square in found)
             track.seen, track.missed = (track.seen + 1, 0) if seen else (track.seen, track.missed + 1)
         new = [(face, sq) for face, sq in found if not any(_one_face(track.last.box, sq) for track in self._tracks)]
-        fits = fit(self.model, [picture] * len(new), [face.box for face, _ in new], kind=[face.kind for face, _ in new])
+        found_boxes, kinds = [face.box for face, _ in new], [face.kind for face, _ in new]
+        turns = [face.rotation for face, _ in new]
+        fits = fit(self.model, [picture] * len(new), found_boxes, kind=kinds, rotations=turns)
         faces = []
         for row, (_, start) in enumerate(new):
             square, confidence = _square_around(fits, row, picture), _confidence(fits, row)
@@ -322,9 +334,9 @@ class Tracker:
         if near:
             track = max(near, key=lambda track: overlap(track.last.box, square))
             self._lost.remove(track)
-            return _Track(track.id, track.born, _Square(square, seconds))
+            return _Track(track.id, track.born, _Square(square, 0.0, seconds))
         self._people += 1
-        return _Track(self._people, number, _Square(square, seconds))
+        return _Track(self._people, number, _Square(square, 0.0, seconds))
 
     def _taken(self, square: np.ndarray) -> bool:
         """Whether somebody is known to be there."""
@@ -332,7 +344,7 @@ class Tracker:
 
     def _square_of(self, face: Detection) -> np.ndarray:
         """The square (4,) around the landmarks that are to be expected of a detected face."""
-        centre, size = self.model.placement(face.kind).face_in(face.box)
+        centre, size = self.model.placement(face.kind).face_in(face.box, math.radians(face.rotation))
         in_squares = self.model.placement(SQUARE)
         side = size / np.exp(in_squares.log_scale)
         return np.array([*(centre - np.array(in_squares.shift) * side - side / 2), side, side])
@@ -341,7 +353,7 @@ class Tracker:
         """A face that was found in this frame, which its track goes on from."""
         if seconds > track.last.seconds:
             track.before = track.last
-        track.last, track.weak = _Square(square, seconds), 0
+        track.last, track.weak = _Square(square, upright_rotation(self.model, fits.landmarks[0]), seconds), 0
         smoothed: dict[str, Any] = {}
         if self.smoothing is not None:
             for name, size in {"landmarks": square[2], "landmarks_3d": square[2], "pose": _RADIAN}.items():
@@ -351,6 +363,16 @@ class Tracker:
         fits = replace(fits, **smoothed)
         boxed = replace(fits, boxes=bounding_square(fits.landmarks[0])[None], kinds=(SQUARE,))
         return _Face(track.id, number - track.born + 1, boxed)
+
+
+def upright_rotation(model: Model, landmarks: np.ndarray) -> float:
+    """How far a face with these landmarks (L, 2) is turned in the picture, in degrees, clockwise as seen."""
+    return math.degrees(float(_rotation(model.mean_face, landmarks)))
+
+
+@jax.jit
+def _rotation(mean: Landmarks, landmarks: Landmarks) -> Scalar:
+    return align_similarity(landmarks - landmarks.mean(0), mean).rotation
 
 
 def _smoothed(how: OneEuro, track: _Track, name: str, values: np.ndarray, seconds: float, size: float) -> np.ndarray:

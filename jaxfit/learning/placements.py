@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxfit.data.detectors import best_match, detect_faces
@@ -17,7 +16,6 @@ from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
 from jaxfit.schemes.known import IBUG68, NO_LANDMARKS
-from jaxfit.shapes.space import Start
 
 _DETECTOR = "haar-frontal"
 # Measures the boxes of datasets without landmarks, and what models it can tell them to.
@@ -95,9 +93,7 @@ def _placement(model: Model, fitted: Sequence[_Fitted]) -> Placement:
         raise InputError(
             f"expected at least {_FEWEST} faces that the detector finds in their boxes; found {len(fitted)}"
         )
-    space = model.cascade.space
-    mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
-    centred = np.asarray(mean - mean.mean(0), np.float64)
+    centred = model.mean_face.astype(np.float64)
     boxes, landmarks = (np.array(each) for each in zip(*fitted, strict=True))
     return measure_placement(boxes, landmarks, centred, model.cascade.frame.face)
 

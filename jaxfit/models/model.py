@@ -1,7 +1,11 @@
 """A model: a trained cascade with what is needed to use it on pictures."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
+
+import numpy as np
+from jax import numpy as jnp
 
 from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import space_3d_of
@@ -10,7 +14,7 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.errors import InputError
 from jaxfit.models.placements import Placement, placements_of
 from jaxfit.schemes.scheme import Scheme
-from jaxfit.shapes.space import ShapeSpace3D
+from jaxfit.shapes.space import ShapeSpace3D, Start
 
 SQUARE = "square"  # the kind of box that every model knows: the bounding square of the landmarks, give or take
 
@@ -52,6 +56,13 @@ class Model:
     def space_3d(self) -> ShapeSpace3D | None:
         """The shape space of the model's 3D results; None if it has none."""
         return space_3d_of(self.cascade, self.aligned)
+
+    @cached_property
+    def mean_face(self) -> np.ndarray:
+        """(L, 2) float32: the mean face, upright and seen from the front, in crop pixels, its centroid at the origin."""
+        space = self.cascade.space
+        mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
+        return np.asarray(mean - mean.mean(0))
 
     @property
     def starts(self) -> Starts:

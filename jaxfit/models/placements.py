@@ -5,6 +5,7 @@ Those of the detectors that we know come with the package, for each scheme of la
 """
 
 import json
+import math
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import resources
@@ -34,11 +35,16 @@ class Placement:
     log_scale: float
     spread: Spread
 
-    def face_in(self, box: np.ndarray) -> tuple[np.ndarray, float]:
-        """The expected centre (2,) and size, in pixels of the picture, of the face in a box (4,)."""
+    def face_in(self, box: np.ndarray, rotation: float = 0.0) -> tuple[np.ndarray, float]:
+        """The expected centre (2,) and size, in pixels of the picture, of the face in a box (4,), which is turned in the
+        picture by ``rotation``, in radians, clockwise as seen. Its size in the box hardly depends on that."""
         x, y, width, height = box.tolist()  # plain numbers: on arrays of two it takes as long as much of the cutting
         side = (width + height) / 2
-        centre = x + width / 2 + self.shift[0] * side, y + height / 2 + self.shift[1] * side
+        right, down = self.shift
+        if rotation:
+            cos, sin = math.cos(rotation), math.sin(rotation)
+            right, down = right * cos - down * sin, right * sin + down * cos
+        centre = x + width / 2 + right * side, y + height / 2 + down * side
         return np.array(centre), side * self._ratio
 
     @cached_property

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
-from jaxfit.runs.workers import BatchFitter, plain
-from jaxfit.data.threads import cores
 from jaxfit.data.outputs import atomic_write, require_same_settings
-from jaxfit.fitting.stream import NO_FACE
+from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
+from jaxfit.fitting.stream import NO_FACE
 from jaxfit.models.files import BUNDLED, bundled, read_named
+from jaxfit.runs.workers import BatchFitter, plain
 
 _TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
 # Whatever its name says: unless it is 0, Ray listens on all of a Linux machine's addresses.
@@ -111,7 +111,10 @@ def _require_ray() -> None:
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
     digest = hashlib.sha256(read_named(fitter.model, BUNDLED, "model")).hexdigest()[:16]
-    settings = {name: value for name, value in vars(fitter).items() if name != "cores"} | {"starts": vars(fitter.starts)}
+    settings = {name: value for name, value in vars(fitter).items() if name != "cores"} | {
+        "starts": vars(fitter.starts),
+        "search": vars(fitter.search),
+    }
     return {"jaxfit": jaxfit.__version__, **settings, "model": str(fitter.model), "model file": digest}
 
 

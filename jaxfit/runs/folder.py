@@ -17,7 +17,7 @@ import jaxfit
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.contact_sheet import write_contact_sheet
-from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
 from jaxfit.data.overlays import draw_row
 from jaxfit.data.pictures import read_image, write_image
@@ -46,7 +46,9 @@ class FolderRun:
         out: the folder of the results, made if needed.
         model: a bundled model's name, or a model file.
         detector: what finds the faces: its name, as in ``jaxfit.detect_faces``; None takes the default one.
-        boxes: a CSV file of face boxes with the columns image, x, y, width and height, instead of a detector.
+        search: how faces are looked for.
+        boxes: a CSV file of face boxes with the columns image, x, y, width and height, and rotation if faces are
+            turned, instead of a detector.
         box_kind: what drew those boxes.
         starts: of each face.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
@@ -59,6 +61,7 @@ class FolderRun:
     out: str | Path
     model: str | Path = DEFAULT_MODEL
     detector: str | None = None
+    search: Search = field(default_factory=Search)
     boxes: str | Path | None = None
     box_kind: str = SQUARE
     starts: Starts = field(default_factory=Starts)
@@ -80,6 +83,7 @@ class FolderRun:
             "jaxfit": jaxfit.__version__,
             "model": str(self.model),
             "detector": self.detector,
+            "search": vars(self.search),
             "box_kind": self.box_kind,
             "starts": vars(self.starts),
             "refine": self.refine,
@@ -163,7 +167,9 @@ def fit_folder(
     shutil.rmtree(unfinished)
     written += ["problems.csv", *(["overlays"] if run.overlays else [])]
     unused = sorted(set(boxes or ()) - {path.name for path in files})
-    return FolderReport(len(files), resumed, faces, tuple(problems), tuple(unused), tuple(out / name for name in written))
+    return FolderReport(
+        len(files), resumed, faces, tuple(problems), tuple(unused), tuple(out / name for name in written)
+    )
 
 
 _Boxes = Mapping[str, Sequence[np.ndarray]]
@@ -180,7 +186,7 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
     if run.boxes is None:
         if run.box_kind != SQUARE:
             raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
-        detector = detector_named(run.detector or DEFAULT_DETECTOR)
+        detector = detector_named(run.detector or DEFAULT_DETECTOR, run.search)
         return Pipeline(model, detector, run.starts, passes_from(detector)), None
     if run.detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
@@ -189,7 +195,12 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
 
 
 def _fit_missing(
-    run: FolderRun, pipeline: Pipeline, boxes: _Boxes | None, files: Sequence[Path], chunks: "_Chunks", progress: Progress
+    run: FolderRun,
+    pipeline: Pipeline,
+    boxes: _Boxes | None,
+    files: Sequence[Path],
+    chunks: "_Chunks",
+    progress: Progress,
 ) -> int:
     """Fit the chunks that are not there, and keep each; returns how many pictures were there."""
     model = pipeline.model
@@ -197,9 +208,7 @@ def _fit_missing(
     labels = list(unique_names(files))
     slices = [slice(first, first + _CHUNK) for first in range(0, len(files), _CHUNK)]
     missing = [number for number in range(len(slices)) if not chunks.has(number)]
-    sources = (
-        [_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing
-    )
+    sources = ([_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing)
     left = sum(len(files[slices[number]]) for number in missing)
     with closing(stream(pipeline, sources, left, progress)) as results:
         for number, fits in zip(missing, results, strict=True):
@@ -254,9 +263,7 @@ def _draw(
         return []
 
     work: Iterator[Callable[[], list[Row]]] = (
-        partial(draw, picture, label)
-        for picture, label in zip(pictures, labels, strict=True)
-        if str(picture) in faces
+        partial(draw, picture, label) for picture, label in zip(pictures, labels, strict=True) if str(picture) in faces
     )
     with closing(in_order(work, reading_threads(len(faces)))) as drawn:
         return list(chain.from_iterable(drawn))

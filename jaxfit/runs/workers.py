@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
-from jaxfit.data.rows import PROBLEM, TEXTS
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
 from jaxfit.fitting.fit import fit
@@ -30,6 +30,7 @@ class BatchFitter:
     Attributes:
         model: a bundled model's name, or a model file that every worker can read.
         detector: what finds the faces: its name, as in ``jaxfit.detect_faces``.
+        search: how faces are looked for, as in ``jaxfit.fit``.
         starts: as in ``jaxfit.fit``.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         cores: that a worker's threads keep busy; with a worker for each core, 1.
@@ -41,6 +42,7 @@ class BatchFitter:
 
     model: str | Path = DEFAULT_MODEL
     detector: str = DEFAULT_DETECTOR
+    search: Search = field(default_factory=Search)
     starts: Starts = field(default_factory=Starts)
     refine: bool = False
     cores: int = 1
@@ -48,7 +50,7 @@ class BatchFitter:
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
         read_named(self.model, BUNDLED, "model")
-        detector_named(self.detector)
+        detector_named(self.detector, self.search)
         if self.cores < 1:
             raise InputError(f"expected at least one core for a worker; got {self.cores}")
 
@@ -70,7 +72,7 @@ class BatchFitter:
             ModelError: the model file is damaged.
         """
         names, pictures = _pictures(batch)
-        model, detector = _loaded(self.model, self.detector, self.cores)
+        model, detector = _loaded(self.model, self.detector, self.search, self.cores)
         with at_most_cores(self.cores):
             fits = fit(
                 model,
@@ -99,19 +101,21 @@ def plain(name: str) -> str:
 
 
 @cache
-def _loaded(model: str | Path, detector: str, cores: int) -> tuple[Model, Detector]:
+def _loaded(model: str | Path, detector: str, search: Search, cores: int) -> tuple[Model, Detector]:
     """What a process needs, once."""
     os.environ.setdefault("NPROC", str(cores))  # how many threads XLA starts, if it has not begun yet
     keep_compiled_code()
-    return load(model), detector_named(detector)
+    return load(model), detector_named(detector, search)
 
 
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:
     """What `BatchFitter` returns."""
     rows = replace(fits, names=tuple(names)).to_dicts(problems=True)
-    return {
-        name: np.array([row[name] or "" for row in rows], object)
-        if name in TEXTS
-        else np.array([row[name] for row in rows], np.float32)
-        for name in (*fits.columns, PROBLEM)
-    }
+
+    def column(name: str) -> np.ndarray:
+        values = [row[name] for row in rows]
+        if name in TEXTS:
+            return np.array(values, object)
+        return np.array([value is True for value in values], bool) if name in FLAGS else np.array(values, np.float32)
+
+    return {name: column(name) for name in (*fits.columns, PROBLEM)}

@@ -1,4 +1,4 @@
-"""Poses in other orders of their three rotations than Eq. 15's, as some datasets label them."""
+"""Poses on the host: in other orders of their three rotations than Eq. 15's, and in turned pictures."""
 
 from collections.abc import Sequence
 
@@ -27,6 +27,19 @@ def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
         found = np.stack([roll, pitch, yaw], 1)
         poses[rows] = np.where(over[:, None], wrapped_degrees(np.stack([roll + 180, pitch + 180, 180 - yaw], 1)), found)
     return poses
+
+
+def turned_poses(poses: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Poses (N, 3), in Eq. 15's order, of heads that are turned in the picture by angles (N,), clockwise as seen."""
+    rows = np.flatnonzero(np.isfinite(poses).all(1) & (degrees != 0))
+    turned = poses.copy()
+    if len(rows):
+        roll, pitch, yaw = poses[rows].T
+        rotation = scipy.spatial.transform.Rotation
+        heads = rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
+        yaw, pitch, roll = (rotation.from_euler("Z", degrees[rows], degrees=True) * heads).as_euler("YXZ", True).T
+        turned[rows] = np.stack([roll, -pitch, yaw], 1)
+    return turned
 
 
 def as_poses(poses: np.ndarray) -> np.ndarray:

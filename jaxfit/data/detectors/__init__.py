@@ -4,47 +4,70 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxfit.data.detectors.detector import Detection, Detector, best_match
+from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, Search, best_match
 from jaxfit.data.detectors.dlib_hog import DlibHog
 from jaxfit.data.detectors.haar import Haar
 from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.detectors.yunet import YuNet
 from jaxfit.errors import InputError
 
-__all__ = ["DEFAULT_DETECTOR", "DETECTORS", "Detection", "Detector", "best_match", "detect_faces", "detector_named"]
+__all__ = [
+    "DEFAULT_DETECTOR",
+    "DETECTORS",
+    "Detection",
+    "Detector",
+    "Search",
+    "best_match",
+    "detect_faces",
+    "detector_named",
+]
 
-DEFAULT_DETECTOR = "haar"
+DEFAULT_DETECTOR = "yunet"
 
-# Made without arguments, or of a file.
-DETECTORS: dict[str, Callable[[], Detector]] = {DEFAULT_DETECTOR: Haar, "dlib": DlibHog, "whole": Whole}
-OF_FILES: dict[str, Callable[[str], Detector]] = {"yunet": YuNet}
+# Made of how faces are looked for, and some of a file as well.
+DETECTORS: dict[str, Callable[[Search], Detector]] = {
+    DEFAULT_DETECTOR: YuNet,
+    "haar": Haar,
+    "dlib": DlibHog,
+    "whole": lambda search: Whole(),
+}
+OF_FILES: dict[str, Callable[[Search, str], Detector]] = {"yunet": YuNet}
 
 
-def detector_named(spec: str) -> Detector:
-    """The detector that ``spec`` names: ``haar``, ``dlib``, ``whole``, or ``yunet:FILE.onnx``.
+def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> Detector:
+    """The detector that ``spec`` names: ``yunet``, ``yunet:FILE.onnx``, ``haar``, ``dlib`` or ``whole``.
+
+    Args:
+        spec: its name.
+        search: how faces are looked for.
 
     Raises:
         InputError: there is none of this name, its file is missing or damaged, or what it needs is not installed.
     """
     name, _, path = spec.partition(":")
-    if name in DETECTORS and not path:
-        return DETECTORS[name]()
     if name in OF_FILES and path:
-        return OF_FILES[name](path)
-    known = [*DETECTORS, *(f"{of_file}:FILE" for of_file in OF_FILES)]
-    raise InputError(f"expected a detector among {', '.join(known)}; got {spec!r}")
+        detector = OF_FILES[name](search, path)
+    elif name in DETECTORS and not path:
+        detector = DETECTORS[name](search)
+    else:
+        known = [*DETECTORS, *(f"{of_file}:FILE" for of_file in OF_FILES)]
+        raise InputError(f"expected a detector among {', '.join(known)}; got {spec!r}")
+    return AnyRotation(detector) if search.any_rotation else detector
 
 
-def detect_faces(image: np.ndarray, detector: str | Detector = DEFAULT_DETECTOR) -> list[Detection]:
+def detect_faces(
+    image: np.ndarray, detector: str | Detector = DEFAULT_DETECTOR, search: Search = Search()
+) -> list[Detection]:
     """The faces in a picture, largest first; empty if none is found.
 
     Args:
         image: uint8 (H, W) grey or (H, W, 3) RGB.
-        detector: ``"haar"``, OpenCV's cascades, needs nothing else; ``"yunet:FILE.onnx"`` finds more, small and turned
-            faces above all; ``"dlib"`` is dlib's; ``"whole"`` takes the whole picture for a face. Or one of your own,
-            as ``Detector`` says.
+        detector: ``"yunet"``, a small network that finds faces of any pose and comes with the package; ``"haar"``,
+            OpenCV's cascades; ``"dlib"``, dlib's; ``"whole"`` takes the whole picture for a face. Or one of your own,
+            as ``Detector`` asks for.
+        search: how faces are looked for, by detectors that come by name.
 
     Raises:
         InputError: as `detector_named`.
     """
-    return (detector_named(detector) if isinstance(detector, str) else detector)(image)
+    return (detector_named(detector, search) if isinstance(detector, str) else detector)(image)

@@ -1,12 +1,17 @@
-"""The seam for face detectors: what they find, and what is asked of one."""
+"""The seam for face detectors: what they find, what is asked of one, and how finds of one face are merged."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from jaxfit.data.boxes import box_centre
+from jaxfit.errors import InputError
+
+_SMALLEST = 24.0  # pixels of the smallest faces that are looked for by default,
+_SMALLEST_SHARE = 1 / 60  # or this share of a picture's size, the root of its area, whichever is more
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,10 +21,45 @@ class Detection:
     Attributes:
         box: (4,) float64 x, y, width, height in pixels; may reach outside the picture.
         kind: which detector found it; boxes of different kinds sit differently around the same face.
+        rotation: how far the face is turned in the picture, in degrees, clockwise as seen; 0 if the detector does not
+            tell.
+        score: how sure the detector is, comparable among its own finds only.
     """
 
     box: np.ndarray
     kind: str
+    rotation: float = 0.0
+    score: float = 1.0
+
+
+@dataclass(frozen=True)
+class Search:
+    """How faces are looked for.
+
+    Attributes:
+        smallest: width in pixels of the smallest faces that are to be found; None is 24, in large pictures more: 1/60
+            of the root of their area. Time grows with the square of what is smaller.
+        score: from which a find is a face, in [0, 1], for detectors that score their finds; None is what suits the
+            detector.
+        any_rotation: also look at the picture turned by 90, 180 and 270 degrees; takes four times as long.
+
+    Raises:
+        InputError: a number out of range.
+    """
+
+    smallest: float | None = None
+    score: float | None = None
+    any_rotation: bool = False
+
+    def __post_init__(self) -> None:
+        if self.smallest is not None and not (math.isfinite(self.smallest) and self.smallest >= 8):
+            raise InputError(f"expected a smallest face of 8 pixels or more; got {self.smallest}")
+        if self.score is not None and not 0 <= self.score <= 1:
+            raise InputError(f"expected a score from 0 to 1; got {self.score}")
+
+    def smallest_in(self, shape: Sequence[int], least: float = _SMALLEST) -> float:
+        """The width of the smallest faces that are looked for in a picture (H, W, …), in its pixels."""
+        return max(least, _SMALLEST_SHARE * math.sqrt(shape[0] * shape[1])) if self.smallest is None else self.smallest
 
 
 @runtime_checkable
@@ -46,6 +86,55 @@ class Detector(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class AnyRotation:
+    """A detector that also looks at the picture turned by 90, 180 and 270 degrees, and merges what it finds.
+
+    Attributes:
+        detector: that looks.
+    """
+
+    detector: Detector
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Those of the detector."""
+        return self.detector.kinds
+
+    @property
+    def colour(self) -> bool:
+        """As the detector."""
+        return self.detector.colour
+
+    @property
+    def rough(self) -> bool:
+        """As the detector's."""
+        return self.detector.rough
+
+    def __call__(self, image: np.ndarray) -> list[Detection]:
+        """The faces in a picture, turned to any side, largest first."""
+        found = []
+        for quarters in range(4):
+            turned = np.ascontiguousarray(np.rot90(image, quarters))  # counter-clockwise
+            found += [_turned_back(face, quarters, image.shape) for face in self.detector(turned)]
+        return merged(found)
+
+
+def _turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
+    """A face of a picture that was turned counter-clockwise by so many quarters, in the picture (H, W, …) itself."""
+    (x, y, width, height), (rows, columns) = face.box.tolist(), shape[:2]
+    if quarters == 1:
+        box = [columns - y - height, x, height, width]
+    elif quarters == 2:
+        box = [columns - x - width, rows - y - height, width, height]
+    elif quarters == 3:
+        box = [y, rows - x - width, height, width]
+    else:
+        box = [x, y, width, height]
+    rotation = (face.rotation + 90 * quarters + 180) % 360 - 180
+    return replace(face, box=np.array(box, np.float64), rotation=rotation)
+
+
 def best_match(detections: Sequence[Detection], truth_box: np.ndarray) -> Detection | None:
     """The detection that found the face whose landmarks fill ``truth_box`` (4,), or None.
 
@@ -56,6 +145,16 @@ def best_match(detections: Sequence[Detection], truth_box: np.ndarray) -> Detect
         face for face in detections if holds(truth_box, box_centre(face.box)) and 0.5 <= face.box[2] / truth_box[2] <= 2
     ]
     return max(matches, key=lambda face: overlap(face.box, truth_box), default=None)
+
+
+def merged(detections: Iterable[Detection], same: float = 0.3) -> list[Detection]:
+    """One detection a face, largest first: of those that overlap (IoU) by more than ``same``, or of which one lies in
+    the middle of the other and is as large, the one with the best score."""
+    kept: list[Detection] = []
+    for face in sorted(detections, key=lambda face: face.score, reverse=True):
+        if not any(overlap(face.box, other.box) > same for other in kept):
+            kept.append(face)
+    return largest_first(kept)
 
 
 def largest_first(detections: Sequence[Detection]) -> list[Detection]:

@@ -1,7 +1,7 @@
 """OpenCV's Haar cascades for frontal faces and for both profiles, which come with it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import local
 
@@ -9,18 +9,14 @@ import cv2
 import numpy as np
 
 from jaxfit.data.boxes import box_centre
-from jaxfit.data.detectors.detector import Detection, area, holds, largest_first, overlap
+from jaxfit.data.detectors.detector import Detection, Search, area, holds, largest_first, overlap
 from jaxfit.data.pictures import to_grey
 
 FRONTAL, PROFILE = "haar-frontal", "haar-profile"
 
-# Chosen on faces of LFPW, HELEN, YouTube Faces and AFLW. In larger pictures no more faces are found, only more that are
-# none; equalising the histogram and the other frontal cascades find fewer, or more that are none.
-_LONG_SIDE = 400
 _SCALE_FACTOR = 1.1
 _SURE, _UNSURE = 3, 1  # overlapping finds that make a face
-_SMALLEST = 24
-_SMALLEST_SHARE = 1 / 12
+_SEEN = 24  # pixels of the smallest face that is looked for, in a picture that is shrunk for it
 # The cascades want some background around a face, which pictures cut close to it lack.
 _MARGIN = 0.1
 
@@ -36,9 +32,13 @@ _OF_THREAD = local()
 class Haar:
     """Finds frontal faces, and where none is sure to be one, profiles.
 
-    Of profiles and of frontal faces that are less sure the largest is the only one returned. Faces narrower than a
-    twelfth of the picture's shorter side are not looked for.
+    Of profiles and of frontal faces that are less sure the largest is the only one returned.
+
+    Attributes:
+        search: the smallest face; its score is not used.
     """
+
+    search: Search = field(default_factory=Search)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -57,15 +57,11 @@ class Haar:
 
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
-        small, back = _shrunk(to_grey(image))
+        small, back = _shrunk(to_grey(image), self.search)
         margin = round(_MARGIN * min(small.shape))
         padded = cv2.copyMakeBorder(small, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
-        smallest = max(_SMALLEST, round(_SMALLEST_SHARE * min(small.shape)))
         # The profile cascade takes three times as long as the frontal one and hardly adds to what that one is sure of.
-        found = (
-            _merged(_frontal(padded, smallest, _SURE))
-            or _merged(_frontal(padded, smallest, _UNSURE) + _profile(padded, smallest, _UNSURE))[:1]
-        )
+        found = _merged(_frontal(padded, _SURE)) or _merged(_frontal(padded, _UNSURE) + _profile(padded, _UNSURE))[:1]
         return [Detection((face.box - [margin, margin, 0, 0]) * back, face.kind) for face in found]
 
 
@@ -75,30 +71,31 @@ def _cascade(name: str) -> cv2.CascadeClassifier:
     return getattr(_OF_THREAD, name)
 
 
-def _shrunk(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shrunk(grey: np.ndarray, search: Search) -> tuple[np.ndarray, np.ndarray]:
     """The picture at the size for detection, and the factors (4,) that take its boxes back."""
     height, width = grey.shape
-    shrink = min(1.0, _LONG_SIDE / max(height, width))
-    size = (max(1, round(width * shrink)), max(1, round(height * shrink)))
-    small = cv2.resize(grey, size, interpolation=cv2.INTER_AREA) if shrink < 1 else grey
-    return small, np.array([width / size[0], height / size[1]] * 2)
+    scale = _SEEN / search.smallest_in(grey.shape)
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    if size != (width, height):
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+    return grey, np.array([width / size[0], height / size[1]] * 2)
 
 
-def _frontal(grey: np.ndarray, smallest: int, neighbours: int) -> list[Detection]:
-    return [Detection(box, FRONTAL) for box in _find(_FRONTAL_FILE, grey, smallest, neighbours)]
+def _frontal(grey: np.ndarray, neighbours: int) -> list[Detection]:
+    return [Detection(box, FRONTAL) for box in _find(_FRONTAL_FILE, grey, neighbours)]
 
 
-def _profile(grey: np.ndarray, smallest: int, neighbours: int) -> list[Detection]:
+def _profile(grey: np.ndarray, neighbours: int) -> list[Detection]:
     # The cascade knows faces turned one way only.
-    mirrored = _find(_PROFILE_FILE, cv2.flip(grey, 1), smallest, neighbours)
+    mirrored = _find(_PROFILE_FILE, cv2.flip(grey, 1), neighbours)
     mirrored[:, 0] = grey.shape[1] - mirrored[:, 0] - mirrored[:, 2]
-    boxes = np.concatenate([_find(_PROFILE_FILE, grey, smallest, neighbours), mirrored])
+    boxes = np.concatenate([_find(_PROFILE_FILE, grey, neighbours), mirrored])
     return [Detection(box, PROFILE) for box in boxes]
 
 
-def _find(name: str, grey: np.ndarray, smallest: int, neighbours: int) -> np.ndarray:
+def _find(name: str, grey: np.ndarray, neighbours: int) -> np.ndarray:
     """Boxes (N, 4) float64."""
-    boxes = _cascade(name).detectMultiScale(grey, _SCALE_FACTOR, neighbours, minSize=(smallest, smallest))
+    boxes = _cascade(name).detectMultiScale(grey, _SCALE_FACTOR, neighbours, minSize=(_SEEN, _SEEN))
     return np.array(boxes, np.float64).reshape(-1, 4)
 
 

@@ -15,5 +15,7 @@ def write_tables(folder: Path, rows: Rows) -> list[str]:
     return names
 
 
-def _text(value: str | float) -> str:
+def _text(value: str | float | bool) -> str:
+    if isinstance(value, bool):
+        return str(int(value))
     return value if isinstance(value, str) else f"{value:.3f}"

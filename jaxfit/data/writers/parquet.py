@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxfit.data.outputs import atomic_path
-from jaxfit.data.rows import TEXTS, Rows, table_values
+from jaxfit.data.rows import FLAGS, TEXTS, Rows, table_values
 from jaxfit.errors import InputError
 
 _ROWS = 4096  # that are in memory at a time
@@ -24,7 +24,8 @@ def write_parquet(folder: Path, rows: Rows) -> list[str]:
     names = []
     for name, columns in rows.tables().items():
         names.append(f"{name}.parquet")
-        types = [(column, pa.string() if column in TEXTS else pa.float32()) for column in columns]
+        of_column = dict.fromkeys(TEXTS, pa.string()) | dict.fromkeys(FLAGS, pa.bool_())
+        types = [(column, of_column.get(column, pa.float32())) for column in columns]
         schema = pa.schema(types)
         with atomic_path(folder / names[-1]) as path, pq.ParquetWriter(path, schema) as writer:
             values = (table_values(name, row) for row in rows)
@@ -47,7 +48,7 @@ def require_pyarrow() -> None:
         raise InputError('Parquet needs pyarrow, which is not installed: pip install "jaxfit[parquet]"') from None
 
 
-def _array(values: tuple[str | float, ...], type_: Any) -> Any:
+def _array(values: tuple[str | float | bool, ...], type_: Any) -> Any:
     """A column; what is not UTF-8 in names of files becomes question marks."""
     import pyarrow as pa
 
