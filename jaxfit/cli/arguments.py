@@ -226,7 +226,7 @@ def add_confidence(command: argparse.ArgumentParser) -> None:
         const=3,
         metavar="FOLDS",
         help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
-        "the faces: 3 unless told, which takes four times as long",
+        "the faces: 3 by default, which takes four times as long",
     )
 
 

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
-from jaxfit.runs.workers import BatchFitter, plain
-from jaxfit.data.threads import cores
 from jaxfit.data.outputs import atomic_write, require_same_settings
-from jaxfit.fitting.stream import NO_FACE
+from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
+from jaxfit.fitting.stream import NO_FACE
 from jaxfit.models.files import BUNDLED, bundled, read_named
+from jaxfit.runs.workers import BatchFitter, plain
 
 _TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
 # Whatever its name says: unless it is 0, Ray listens on all of a Linux machine's addresses.
@@ -50,8 +50,8 @@ def fit_collection(
     Args:
         pictures: their files.
         out: the folder of the results, made if needed.
-        fitter: how to fit; ``BatchFitter()`` unless told.
-        workers: how many processes; as many as there are cores for unless told.
+        fitter: how to fit; ``BatchFitter()`` by default.
+        workers: how many processes; as many as there are cores for by default.
         gpus: that a worker takes, or which share of one.
         part: pictures a part: what a killed worker loses at most.
         progress: called with the stage's name, pictures done and pictures in all.
@@ -111,8 +111,9 @@ def _require_ray() -> None:
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
     digest = hashlib.sha256(read_named(fitter.model, BUNDLED, "model")).hexdigest()[:16]
-    settings = {name: value for name, value in vars(fitter).items() if name != "cores"} | {"starts": vars(fitter.starts)}
-    return {"jaxfit": jaxfit.__version__, **settings, "model": str(fitter.model), "model file": digest}
+    settings = {name: value for name, value in vars(fitter).items() if name != "cores"}
+    settings |= {"starts": vars(fitter.starts), "model": str(fitter.model), "model file": digest}
+    return {"jaxfit": jaxfit.__version__, **settings}
 
 
 def _fit_parts(

@@ -163,7 +163,8 @@ def fit_folder(
     shutil.rmtree(unfinished)
     written += ["problems.csv", *(["overlays"] if run.overlays else [])]
     unused = sorted(set(boxes or ()) - {path.name for path in files})
-    return FolderReport(len(files), resumed, faces, tuple(problems), tuple(unused), tuple(out / name for name in written))
+    paths = tuple(out / name for name in written)
+    return FolderReport(len(files), resumed, faces, tuple(problems), tuple(unused), paths)
 
 
 _Boxes = Mapping[str, Sequence[np.ndarray]]
@@ -189,7 +190,12 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
 
 
 def _fit_missing(
-    run: FolderRun, pipeline: Pipeline, boxes: _Boxes | None, files: Sequence[Path], chunks: "_Chunks", progress: Progress
+    run: FolderRun,
+    pipeline: Pipeline,
+    boxes: _Boxes | None,
+    files: Sequence[Path],
+    chunks: "_Chunks",
+    progress: Progress,
 ) -> int:
     """Fit the chunks that are not there, and keep each; returns how many pictures were there."""
     model = pipeline.model
@@ -197,9 +203,7 @@ def _fit_missing(
     labels = list(unique_names(files))
     slices = [slice(first, first + _CHUNK) for first in range(0, len(files), _CHUNK)]
     missing = [number for number in range(len(slices)) if not chunks.has(number)]
-    sources = (
-        [_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing
-    )
+    sources = ([_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing)
     left = sum(len(files[slices[number]]) for number in missing)
     with closing(stream(pipeline, sources, left, progress)) as results:
         for number, fits in zip(missing, results, strict=True):
@@ -254,9 +258,7 @@ def _draw(
         return []
 
     work: Iterator[Callable[[], list[Row]]] = (
-        partial(draw, picture, label)
-        for picture, label in zip(pictures, labels, strict=True)
-        if str(picture) in faces
+        partial(draw, picture, label) for picture, label in zip(pictures, labels, strict=True) if str(picture) in faces
     )
     with closing(in_order(work, reading_threads(len(faces)))) as drawn:
         return list(chain.from_iterable(drawn))
