@@ -4,10 +4,14 @@ import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
+
+if TYPE_CHECKING:
+    from jaxfit.labels.records import Dataset
 
 # Compilation and slow disks are no failures.
 settings.register_profile("jaxfit", deadline=None)
@@ -18,7 +22,7 @@ install_import_hook("jaxfit", "beartype.beartype")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest file comes first, lest one of several workers be left with it alone."""
+    """The longest file comes first, so that no worker is left with it alone at the end."""
     items.sort(key=lambda item: item.path.stem != "test_readme")
 
 
@@ -31,16 +35,39 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def real_dataset(shared_data: Path) -> Callable:
+def real_dataset(shared_data: Path) -> Callable[[str], "Dataset"]:
     """Reads the dataset ``FORMAT:PATH``, its path being one in the real data; each is read once."""
     from jaxfit.labels.datasets import read_dataset
 
     @cache
-    def read(spec: str):
+    def read(spec: str) -> "Dataset":
         name, path = spec.split(":")
         return read_dataset(f"{name}:{shared_data / path}")
 
     return read
+
+
+@pytest.fixture(scope="session")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of 24 drawn faces with ``.pts`` labels."""
+    from drawn_faces import draw_faces
+
+    return draw_faces(tmp_path_factory.mktemp("drawn"), 24)
+
+
+@pytest.fixture(scope="session")
+def drawn_model(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a model that is trained on the drawn faces."""
+    from drawn_faces import OPTIONS
+
+    from jaxfit.labels.datasets import read_dataset
+    from jaxfit.learning.train import train
+    from jaxfit.models.files import save
+
+    path = tmp_path_factory.mktemp("model") / "blobs.safetensors"
+    found = read_dataset(f"pts:{drawn}")
+    save(train(found.faces, found.scheme, options=OPTIONS).model, path)
+    return path
 
 
 @pytest.fixture(scope="session")
@@ -60,7 +87,7 @@ def head_models(heads: tuple) -> dict:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator:
+def browser() -> Iterator[Any]:
     """Chromium, with a camera that sees a test card; once a module, for its event loop runs until it is closed."""
     api = pytest.importorskip("playwright.sync_api")
     names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")

@@ -45,8 +45,8 @@ def files_of_the_package() -> set[str]:
 def test_the_wheel_has_every_file_of_the_package(wheel: zipfile.ZipFile) -> None:
     inside = {name for name in wheel.namelist() if name.startswith("jaxfit/")}
     assert inside == files_of_the_package()
-    for name in (*(f"bundled/{name}" for name in jaxfit.bundled()), "bundled_head_models/ict-facekit"):
-        assert f"jaxfit/models/{name}.safetensors" in inside
+    for name in (*(f"models/bundled/{name}" for name in jaxfit.bundled()), "heads/bundled/ict-facekit"):
+        assert f"jaxfit/{name}.safetensors" in inside
     assert {"jaxfit/py.typed", "jaxfit/models/bundled/cards.json"} <= inside
 
 
@@ -59,13 +59,12 @@ def test_the_source_distribution_has_them_too(packages: Path) -> None:
 
 def test_metadata(wheel: zipfile.ZipFile) -> None:
     (name,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
-    told = email.message_from_bytes(wheel.read(name))
-    assert told["Version"] == jaxfit.__version__
-    assert told["License-Expression"] == "MIT"
-    assert set(told.get_all("License-File")) == {"LICENSE", "jaxfit/models/bundled_head_models/LICENSE-ICT-FaceKit.txt"}
-    assert all(
-        name.replace("METADATA", f"licenses/{file}") in wheel.namelist() for file in told.get_all("License-File")
-    )
+    metadata = email.message_from_bytes(wheel.read(name))
+    assert metadata["Version"] == jaxfit.__version__
+    assert metadata["License-Expression"] == "MIT"
+    licences = metadata.get_all("License-File") or []
+    assert set(licences) == {"LICENSE", "jaxfit/heads/bundled/LICENSE-ICT-FaceKit.txt"}
+    assert all(name.replace("METADATA", f"licenses/{file}") in wheel.namelist() for file in licences)
 
 
 def test_every_extra_is_documented() -> None:

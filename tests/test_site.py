@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
@@ -48,10 +49,10 @@ class Page(HTMLParser):
         self.feed(path.read_text(encoding="utf-8"))
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        told = {name: value for name, value in attrs if value}
-        self.names |= {told["id"]} if "id" in told else set()
+        given = {name: value for name, value in attrs if value}
+        self.names |= {given["id"]} if "id" in given else set()
         links = self.links if tag == "a" else self.loads
-        links |= {told[name] for name in ("href", "src", "srcset", "data") if name in told}
+        links |= {given[name] for name in ("href", "src", "srcset", "data") if name in given}
 
 
 @pytest.fixture(scope="module")
@@ -103,15 +104,21 @@ def address(site: Path) -> Iterator[str]:
 
 
 @pytest.fixture(params=WIDTHS)
-def page(browser, address: str, request: pytest.FixtureRequest) -> Iterator:
+def page(browser: Any, address: str, request: pytest.FixtureRequest) -> Iterator[Any]:
     """A tab; when done with it, there must have been no error and no request but to the site."""
     context = browser.new_context(viewport={"width": request.param, "height": 900})
     try:
         page = context.new_page()
         page.set_default_timeout(30_000)
-        problems, requests = [], []
-        # Chromium asks for an icon on its own, and tells of every answer that is no success.
-        page.on("console", lambda message: "favicon.ico" in message.location["url"] or problems.append(message.text))
+        problems: list[str] = []
+        requests: list[str] = []
+
+        def log(message: Any) -> None:
+            # Chromium asks for an icon on its own, and logs every answer that is no success.
+            if "favicon.ico" not in message.location["url"]:
+                problems.append(message.text)
+
+        page.on("console", log)
         page.on("pageerror", lambda error: problems.append(str(error)))
         page.on("requestfailed", lambda failed: problems.append(failed.url))
         page.on("request", lambda request: requests.append(request.url))
@@ -122,7 +129,7 @@ def page(browser, address: str, request: pytest.FixtureRequest) -> Iterator:
         context.close()
 
 
-def test_pages_open_without_sideways_scroll(page, address: str, tmp_path: Path) -> None:
+def test_pages_open_without_sideways_scroll(page: Any, address: str, tmp_path: Path) -> None:
     for name in OPENED:
         page.goto(f"{address}{name}.html")
         assert page.locator("article h1").first.is_visible(), name
@@ -133,7 +140,7 @@ def test_pages_open_without_sideways_scroll(page, address: str, tmp_path: Path) 
         page.screenshot(path=tmp_path / f"{name.replace('/', '-')}.png")
 
 
-def test_equations_are_drawn(page, address: str) -> None:
+def test_equations_are_drawn(page: Any, address: str) -> None:
     page.goto(f"{address}method.html")
     sizes = page.locator("math").evaluate_all("all => all.map(math => math.getBoundingClientRect().height)")
     assert len(sizes) > 50
@@ -142,6 +149,6 @@ def test_equations_are_drawn(page, address: str) -> None:
     assert page.locator("mtable").first.evaluate("table => table.getBoundingClientRect().height") > 30
 
 
-def test_the_search_finds(page, address: str) -> None:
+def test_the_search_finds(page: Any, address: str) -> None:
     page.goto(f"{address}search.html?q=centroid")
     page.locator("ul.search a", has_text="method").first.wait_for()

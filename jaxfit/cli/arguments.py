@@ -6,12 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import read_boxes
-from jaxfit.data.detectors import DETECTORS, OF_FILES
+from jaxfit.data.boxes import GivenBox, read_boxes
+from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
@@ -67,7 +65,8 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     command.add_argument(
         "--boxes",
         metavar="FILE.csv",
-        help=f"face boxes with the columns image,x,y,width,height (image is the file's name); without it, {otherwise}",
+        help=f"face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces are turned; image "
+        f"is the file's name; without it, {otherwise}",
     )
     command.add_argument(
         "--box-kind",
@@ -79,8 +78,34 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
 
 
 def add_detector(command: argparse.ArgumentParser, about: str) -> None:
-    """``--detector SPEC``."""
+    """``--detector SPEC``, and how faces are looked for: ``--smallest``, ``--score`` and ``--any-rotation``."""
     command.add_argument("--detector", metavar="SPEC", help=f"{about}: {known_detectors()}")
+    command.add_argument(
+        "--smallest",
+        type=float,
+        metavar="PIXELS",
+        help="width of the smallest faces to look for; by default 24 (dlib: 40), in large pictures 1/60 of the root of "
+        "their area; smaller faces take longer",
+    )
+    command.add_argument(
+        "--score",
+        type=float,
+        help="from which yunet's find is a face, from 0 to 1; lower finds more, also what is none",
+    )
+    command.add_argument(
+        "--any-rotation",
+        action="store_true",
+        help="also look at the pictures turned by 90, 180 and 270 degrees; takes four times as long",
+    )
+
+
+def given_search(arguments: argparse.Namespace) -> Search:
+    """How ``--smallest``, ``--score`` and ``--any-rotation`` say that faces are looked for.
+
+    Raises:
+        InputError: a number out of range.
+    """
+    return Search(arguments.smallest, arguments.score, arguments.any_rotation)
 
 
 def known_detectors() -> str:
@@ -88,7 +113,7 @@ def known_detectors() -> str:
     return ", ".join([*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)])
 
 
-def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[np.ndarray]] | None:
+def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[GivenBox]] | None:
     """The boxes that ``--boxes`` names, by picture; None without it.
 
     Raises:
@@ -226,7 +251,7 @@ def add_confidence(command: argparse.ArgumentParser) -> None:
         const=3,
         metavar="FOLDS",
         help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
-        "the faces: 3 unless told, which takes four times as long",
+        "the faces: 3 by default, which takes four times as long",
     )
 
 

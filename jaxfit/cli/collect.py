@@ -2,7 +2,15 @@
 
 import argparse
 
-from jaxfit.cli.arguments import add_detector, add_pictures, add_refine, add_starts, given_starts, out_folder
+from jaxfit.cli.arguments import (
+    add_detector,
+    add_pictures,
+    add_refine,
+    add_starts,
+    given_search,
+    given_starts,
+    out_folder,
+)
 from jaxfit.cli.progress import Bars
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.pictures import find_images
@@ -20,7 +28,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "started again; of a collection that has grown, what is new is fitted.",
     )
     add_pictures(command)
-    add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
+    add_detector(command, "finds the faces; yunet, a small network, unless given")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
@@ -35,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     fitter = BatchFitter(
         options.model,
         options.detector or DEFAULT_DETECTOR,
+        given_search(options),
         given_starts(options),
         options.refine,
         options.cores,

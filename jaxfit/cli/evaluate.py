@@ -15,6 +15,7 @@ from jaxfit.cli.arguments import (
     add_refine,
     add_starts,
     given_boxes,
+    given_search,
     given_starts,
     out_folder,
     read_datasets,
@@ -104,7 +105,7 @@ def run(options: argparse.Namespace) -> int:
     boxes = given_boxes(options, model)
     if boxes is not None and options.detector is not None:
         raise InputError("expected --boxes or a --detector that finds them; got both")
-    starts = given_starts(options)
+    starts, search = given_starts(options), given_search(options)
     if options.refine:
         require_refinable(model)
     folder = out_folder(options.out)
@@ -115,13 +116,14 @@ def run(options: argparse.Namespace) -> int:
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
             kind: str | list[str] = kinds[dataset.spec]
+            turned: np.ndarray | None
             if options.detector is not None:
-                begun, kind = detected_boxes(dataset.faces, options.detector, bars)
+                begun, kind, turned = detected_boxes(dataset.faces, options.detector, search, bars)
             elif boxes is None:
-                begun = start_boxes(dataset.faces, options.seed)
+                begun, turned = start_boxes(dataset.faces, options.seed), None
             else:
-                begun = match_boxes(dataset.faces, boxes)
-            fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, progress=bars)
+                begun, turned = match_boxes(dataset.faces, boxes)
+            fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, rotations=turned, progress=bars)
             results[dataset.spec] = measure(
                 refine(model, fits) if options.refine else fits,
                 dataset.faces,
@@ -137,6 +139,7 @@ def run(options: argparse.Namespace) -> int:
         settings = {
             "boxes": options.boxes,
             "detector": options.detector,
+            "search": vars(search),
             "seed": options.seed,
             "starts": starts.count,
             "rotations": [starts.low, starts.high],

@@ -8,6 +8,7 @@ from jaxfit.cli.arguments import (
     add_pictures,
     add_refine,
     add_starts,
+    given_search,
     given_starts,
     untrained_starts,
 )
@@ -28,7 +29,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     add_pictures(command)
     add_boxes(command, "a detector finds the faces")
-    add_detector(command, "finds the faces; haar, OpenCV's cascades, unless given")
+    add_detector(command, "finds the faces; yunet, a small network, unless given")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
@@ -45,6 +46,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--contact-sheet", action="store_true", help="write one picture of many faces, the doubtful first"
     )
+    command.add_argument(
+        "--min-confidence",
+        type=float,
+        metavar="C",
+        help="write faces whose confidence, from 0 to 1, is below C to doubtful.csv instead of the tables; by default all "
+        "faces stand in the tables, and the column ok says which are rather good than not",
+    )
     command.add_argument("--overwrite", action="store_true", help="begin anew where an unfinished run is in the way")
     command.set_defaults(run=run)
 
@@ -56,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
         out=options.out,
         model=options.model,
         detector=options.detector,
+        search=given_search(options),
         boxes=options.boxes,
         box_kind=options.box_kind,
         starts=starts,
@@ -63,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
         formats=tuple(options.format),
         overlays=not options.no_overlays,
         contact_sheet=options.contact_sheet,
+        min_confidence=options.min_confidence,
         overwrite=options.overwrite,
     )
     pictures = find_images(options.pictures, options.recursive)
@@ -76,6 +86,7 @@ def run(options: argparse.Namespace) -> int:
         rows = f"rows for pictures that were not given: {len(report.unused)}, such as {report.unused[0]}"
         problems.append(f"{options.boxes}: {rows}")
     report_problems(problems)
-    print(f"pictures: {report.pictures}, faces fitted: {report.faces}, model: {options.model}")
+    doubtful = f" ({report.doubtful} of them doubtful)" if report.doubtful else ""
+    print(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
     print(f"written: {', '.join(map(str, report.written))}")
     return 0 if report.faces else 1

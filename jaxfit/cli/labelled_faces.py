@@ -36,15 +36,16 @@ def add_faces(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--fill",
         action="store_true",
-        help="give incomplete faces of --data their missing landmarks by a 3D head model (--head), instead of leaving "
-        "them out",
+        help="give incomplete faces of --data their missing landmarks by a 3D head model (--head-model), instead of "
+        "leaving them out",
     )
     command.add_argument(
         "--lift",
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="more datasets, of other or incomplete landmarks: a 3D head model (--head) gives them those of --data",
+        help="more datasets, of other or incomplete landmarks: a 3D head model (--head-model) gives them those of "
+        "--data",
     )
     command.add_argument(
         "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
@@ -65,7 +66,7 @@ def add_shared(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="more datasets, of other landmarks: those that both have teach (see --head)",
+        help="more datasets, of other landmarks: those that both have teach (see --head-model)",
     )
 
 

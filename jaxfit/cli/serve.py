@@ -34,7 +34,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--detector",
         nargs="+",
         metavar="SPEC",
-        help=f"what finds the faces, to choose from: {known_detectors()} (default: haar, whole, and dlib if installed)",
+        help=f"what finds the faces, to choose from: {known_detectors()} (default: yunet, haar, whole, and dlib if installed)",
     )
     command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")
@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _detectors() -> list[str]:
     """Those that need no file."""
-    return [DEFAULT_DETECTOR, *(["dlib"] if find_spec("dlib") else []), "whole"]
+    return [DEFAULT_DETECTOR, "haar", *(["dlib"] if find_spec("dlib") else []), "whole"]
 
 
 def _model_name(spec: str) -> str:

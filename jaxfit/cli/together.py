@@ -26,7 +26,7 @@ def add_processes(command: argparse.ArgumentParser, run: _Run) -> None:
     group.add_argument(
         "--distributed",
         action="store_true",
-        help="all three are told by SLURM or Open MPI, which started the processes",
+        help="SLURM or Open MPI, which started the processes, says all three",
     )
     command.set_defaults(run=partial(_run_together, run))
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import out_folder
+from jaxfit.cli.arguments import add_detector, given_search, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.overlays import draw_name, draw_row
-from jaxfit.data.rows import HEAD, landmark_columns
+from jaxfit.data.rows import HEAD, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.one_euro import OneEuro
 from jaxfit.fitting.track import TrackedFrame, track
@@ -37,11 +37,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
     )
-    command.add_argument(
-        "--detector",
-        default=DEFAULT_DETECTOR,
-        help=f"what finds new faces: haar, dlib, or yunet:FILE.onnx (default: {DEFAULT_DETECTOR})",
-    )
+    add_detector(command, f"finds new faces; {DEFAULT_DETECTOR} unless given")
     command.add_argument(
         "--redetect-every", type=int, default=10, metavar="N", help="look for new faces every N frames (default: 10)"
     )
@@ -64,7 +60,8 @@ def run(options: argparse.Namespace) -> int:
         tracked = track(
             model,
             video,
-            detector=options.detector,
+            detector=options.detector or DEFAULT_DETECTOR,
+            search=given_search(options),
             redetect_every=options.redetect_every,
             smoothing=OneEuro() if options.smooth else None,
         )
@@ -119,12 +116,12 @@ def _drawn(frame: TrackedFrame) -> np.ndarray:
 def _columns(model: Model) -> list[str]:
     """The columns of a face, as `Fits.to_dicts` calls them; without a confidence, its column is empty."""
     points = landmark_columns(model.scheme, confident=True)[3:]
-    return ["confidence", *(name for name in points if name != "confidence")] + (
+    return ["ok", "confidence", *(name for name in points if name not in ("ok", "confidence"))] + (
         [f"{HEAD}{name}" for name in (*ANGLES, "scale")] if model.space_3d is not None else []
     )
 
 
 def _rows(frame: TrackedFrame, columns: list[str]) -> Iterator[list[object]]:
     for number, face in zip(frame.ids, frame.faces.to_dicts(), strict=True):
-        numbers = [f"{face[name]:.3f}" if name in face else "" for name in columns]
+        numbers = [table_text(face[name]) if name in face else "" for name in columns]
         yield [frame.number, f"{frame.seconds:.3f}", number, *numbers]

@@ -46,7 +46,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         const=3,
         metavar="FOLDS",
         help="choose ridge, variance, spread and windows, beginning with those given, by the errors that cascades "
-        "leave on people that they did not learn from, in cross-validation: in 3 folds unless told; takes several "
+        "leave on people that they did not learn from, in cross-validation: in 3 folds by default; takes several "
         "times as long",
     )
     add_confidence(command)
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     save(model, out)
     report_problems([*found.problems, *trained.problems])
     if chosen:
-        print(tried(chosen))
+        print(choices_table(chosen))
     if METHODS[options.method].in_3d or options.lift:
         print(f"3D shape model: {load_head_model(options.head_model).source}")
     size = out.stat().st_size / 2**20
@@ -95,16 +95,18 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def tried(chosen: Chosen) -> str:
-    """What was tried, as a table; the last line says what was chosen."""
+def choices_table(chosen: Chosen) -> str:
+    """The settings that were tried, as a table; the last line says which ones were chosen."""
     columns = {"option": "", "value": "", "faces": "d", "error": ".4f", "best": ".4f", "p": ".2g", "taken": ""}
     rows = [
-        asdict(trial) | {"value": told(trial.value), "taken": ["no", "yes"][trial.taken]} for trial in chosen.choices
+        asdict(choice) | {"value": _as_text(choice.value), "taken": ["no", "yes"][choice.taken]}
+        for choice in chosen.choices
     ]
-    taken = ", ".join(f"{name} {told(getattr(chosen.options, name))}" for name in OPTIONS)
+    options = chosen.options.flat()
+    taken = ", ".join(f"{name} {_as_text(options[name])}" for name in OPTIONS)
     return f"{text_table(rows, columns)}\nchosen: {taken}"
 
 
-def told(value: float | tuple[float, ...]) -> str:
+def _as_text(value: float | tuple[float, ...]) -> str:
     """A number or several, as the command line takes them."""
     return " ".join(f"{number:.3g}" for number in np.atleast_1d(value))

@@ -3,6 +3,7 @@
 import csv
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from jaxfit.errors import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
+_ROTATION = "rotation"
 _SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
 
 
@@ -61,8 +63,21 @@ def box_problem(box: np.ndarray, image_shape: tuple[int, ...]) -> str | None:
     return None
 
 
-def read_boxes(path: str | Path) -> dict[str, list[np.ndarray]]:
-    """Boxes (4,) by the picture's file name, from a CSV file with the columns image, x, y, width and height.
+class GivenBox(NamedTuple):
+    """A face box from a file.
+
+    Attributes:
+        box: (4,).
+        rotation: how far the face is turned in the picture, in degrees, clockwise as seen.
+    """
+
+    box: np.ndarray
+    rotation: float
+
+
+def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
+    """Boxes by the picture's file name, from a CSV file with the columns image, x, y, width and height, and rotation, in
+    degrees, if faces are turned.
 
     Columns may come in any order and beside others; of ``image`` only the file name counts.
 
@@ -80,23 +95,24 @@ def read_boxes(path: str | Path) -> dict[str, list[np.ndarray]]:
         raise InputError(f"{path}: expected a CSV file of face boxes; {error}") from error
 
 
-def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[np.ndarray]]:
-    boxes: dict[str, list[np.ndarray]] = {}
+def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[GivenBox]]:
+    columns = [*_COLUMNS[1:], *[_ROTATION] * (_ROTATION in (reader.fieldnames or ()))]
+    boxes: dict[str, list[GivenBox]] = {}
     for row in reader:
         # A short row has None in its last cells.
         name = Path((row["image"] or "").strip()).name
         try:
-            box = np.array([float(row[column]) for column in _COLUMNS[1:]])
+            numbers = np.array([float(row[column]) for column in columns])
         except (ValueError, TypeError):
-            box = np.full(4, np.nan)
-        if not np.isfinite(box).all():
-            cells = ", ".join(str(row[column]) for column in _COLUMNS[1:])
+            numbers = np.full(4, np.nan)
+        if not np.isfinite(numbers).all():
+            cells = ", ".join(str(row[column]) for column in columns)
             raise InputError(
-                f"{path}, line {reader.line_num}: expected finite numbers x, y, width, height; got {cells}"
+                f"{path}, line {reader.line_num}: expected finite numbers {', '.join(columns)}; got {cells}"
             )
         if not name:
             raise InputError(f"{path}, line {reader.line_num}: expected the picture's file name; got none")
-        boxes.setdefault(name, []).append(box)
+        boxes.setdefault(name, []).append(GivenBox(numbers[:4], float(numbers[4]) if len(numbers) > 4 else 0.0))
     return boxes
 
 

@@ -7,15 +7,16 @@ import cv2
 import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.overlays import draw_landmarks
+from jaxfit.data.overlays import draw_row
 from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.rows import Row, Rows
 from jaxfit.errors import ImageError
 from jaxfit.schemes.scheme import Scheme
 
 MOST = 200
-_ACROSS = 20
-_SIDE = 120  # pixels of a face's square
+_ACROSS = 10
+_SIDE = 220  # pixels of a face's square
+_LETTERS = 18  # of a face's name that are shown, its last
 _AROUND = 1.6  # sides of the square around the landmarks that are shown
 
 
@@ -57,10 +58,16 @@ def _square(row: Row, scheme: Scheme) -> np.ndarray:
     shift = (_SIDE - 1) / 2 - scale * box_centre(square)
     moved = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
     cut = cv2.warpAffine(read_image(row["image"]), moved, (_SIDE, _SIDE), flags=cv2.INTER_AREA)
-    drawn = draw_landmarks(cut, scale * landmarks + shift, scheme)
-    if "confidence" in row:
-        place = (3, _SIDE - 5)
-        for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-            text = f"{row['confidence']:.2f}"
-            cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, colour, thickness, cv2.LINE_AA)
+    placed = row | {"landmarks": (scale * landmarks + shift).tolist()}
+    drawn = draw_row(
+        cut, {name: value for name, value in placed.items() if name != "landmarks_3d"}, scheme, boxed=False
+    )
+    confidence = [f"{row['confidence']:.2f}"] if "confidence" in row else []
+    _write(drawn, " ".join([row["face"][-_LETTERS:], *confidence]), row["ok"])
     return drawn
+
+
+def _write(square: np.ndarray, text: str, ok: bool) -> None:
+    """Write below a face; its outline first, so that it can be read on any ground."""
+    for colour, thickness in (((0, 0, 0), 3), ((255, 255, 255) if ok else (255, 140, 0), 1)):
+        cv2.putText(square, text, (4, _SIDE - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, thickness, cv2.LINE_AA)

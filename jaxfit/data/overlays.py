@@ -8,12 +8,13 @@ import numpy as np
 from jax import numpy as jnp
 
 from jaxfit.data.boxes import bounding_square
+from jaxfit.data.crops import turned
 from jaxfit.data.rows import Row
 from jaxfit.errors import InputError
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
 
-_CYAN, _RED, _YELLOW = (0, 255, 255), (255, 60, 60), (255, 220, 0)
+_CYAN, _RED, _YELLOW, _ORANGE = (0, 255, 255), (255, 60, 60), (255, 220, 0), (255, 140, 0)
 _AXES = ((255, 0, 0), (0, 230, 0), (40, 90, 255))  # colours of the head's x, y and z
 _AXIS = 0.6  # length of an axis, in sizes of the face
 _FRONT, _BEHIND = (255, 70, 200), (150, 60, 130)  # colours of the head box
@@ -128,6 +129,7 @@ def outline_of(landmarks_3d: np.ndarray, pose: np.ndarray) -> Outline:
 
 def draw_row(rgb: np.ndarray, row: Row, scheme: Scheme, boxed: bool = True) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a fitted face drawn over it, in 3D if the model has that.
+    A fit that is not ok is drawn in orange.
 
     Args:
         rgb: (H, W, 3) or (H, W) uint8.
@@ -135,13 +137,30 @@ def draw_row(rgb: np.ndarray, row: Row, scheme: Scheme, boxed: bool = True) -> n
         scheme: says which points lines join.
         boxed: draw the face box, too.
     """
-    landmarks, box = np.array(row["landmarks"]), None
+    canvas = cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB) if rgb.ndim == 2 else rgb
     if boxed:
-        box = np.array([row["box"][side] for side in ("x", "y", "width", "height")])
+        canvas = canvas.copy()
+        corners = _turned_corners(box_of(row), row["box"]["rotation"])
+        _lines(canvas, corners, ((0, 1, 2, 3, 0),), _YELLOW if row["ok"] else _ORANGE, _thickness(corners, canvas))
     solid = solid_points(row)
-    if solid is None:
-        return draw_landmarks(rgb, landmarks, scheme, box=box)
-    return draw_head(rgb, solid, np.array(list(row["pose"].values())), scheme, box=box)
+    if solid is None or not row["ok"]:
+        canvas = canvas.copy()
+        _face(canvas, np.array(row["landmarks"]), scheme, _CYAN if row["ok"] else _ORANGE)
+        return canvas
+    return draw_head(canvas, solid, np.array(list(row["pose"].values())), scheme)
+
+
+def box_of(row: Row) -> np.ndarray:
+    """The box (4,) of a fitted face."""
+    return np.array([row["box"][side] for side in ("x", "y", "width", "height")])
+
+
+def _turned_corners(box: np.ndarray, degrees: float) -> np.ndarray:
+    """The corners (4, 2) of a box (4,), turned about its middle, clockwise as seen."""
+    x, y, width, height = box
+    corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
+    middle = corners.mean(0)
+    return turned(corners - middle, np.radians(degrees)) + middle
 
 
 def solid_points(row: Row) -> np.ndarray | None:
@@ -152,12 +171,16 @@ def solid_points(row: Row) -> np.ndarray | None:
     return np.column_stack([np.array(row["landmarks"]), np.array(row["landmarks_3d"])[:, 2]])
 
 
-def draw_name(rgb: np.ndarray, name: str, box: np.ndarray) -> np.ndarray:
-    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,)."""
+def draw_name(rgb: np.ndarray, name: str, box: np.ndarray, ok: bool = True) -> np.ndarray:
+    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,); in orange if its
+    fit is not ok."""
     canvas = _canvas(rgb, None)
     height = 0.0025 * min(box[2], max(canvas.shape))  # of the letters, in those of OpenCV's font
     width = max(1, round(2 * height))
-    for colour, thickness in (((0, 0, 0), 3 * width), (_YELLOW, width)):  # its outline first: readable on any ground
+    for colour, thickness in (
+        ((0, 0, 0), 3 * width),
+        (_YELLOW if ok else _ORANGE, width),
+    ):  # its outline first: readable on any ground
         place = tuple(np.round(np.clip(box[:2], -_FARTHEST, _FARTHEST) - [0, 4]).astype(int).tolist())
         cv2.putText(canvas, name, place, cv2.FONT_HERSHEY_SIMPLEX, max(0.4, height), colour, thickness, cv2.LINE_AA)
     return canvas

@@ -1,7 +1,7 @@
 """Fitted faces as rows: nested plain values, as JSON lines have them, and flat ones, as tables have them."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -40,6 +40,10 @@ class Rows:
 
     def __iter__(self) -> Iterator[Row]:
         return self.begin()
+
+    def only(self, wanted: Callable[[Row], bool]) -> "Rows":
+        """Those rows of which ``wanted`` is true."""
+        return replace(self, begin=lambda: filter(wanted, self.begin()))
 
     def tables(self) -> dict[str, tuple[str, ...]]:
         """The columns of each table, by the name of its file without a suffix."""
@@ -100,3 +104,10 @@ def table_values(name: str, row: Row) -> list[str | float | bool]:
         )
     points = chain.from_iterable(row["landmarks_3d"])
     return [row["image"], row["face"], row["ok"], *row["pose"].values(), row["scale"], *points, *row["b"]]
+
+
+def table_text(value: str | float | bool) -> str:
+    """A value as tables of text have it: numbers with three digits after the point, yes and no as 1 and 0."""
+    if isinstance(value, bool):
+        return str(int(value))
+    return value if isinstance(value, str) else f"{value:.{_DIGITS}f}"

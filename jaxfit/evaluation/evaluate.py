@@ -12,8 +12,8 @@ import numpy as np
 
 from jaxfit.cascade.model import first_steps
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import bounding_square, box_centre, jitter
-from jaxfit.data.detectors import Detection, Detector, best_match
+from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, jitter, rotation_array
+from jaxfit.data.detectors import Detection, Detector, Search, best_match
 from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.pictures import Read, read_grey, read_image
 from jaxfit.errors import InputError
@@ -118,15 +118,18 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
 def detected_boxes(
     faces: Sequence[FaceRecord],
     detector: str | Detector,
+    search: Search = Search(),
     progress: Progress = lambda stage, done, total: None,
-) -> tuple[np.ndarray, list[str]]:
-    """The boxes (N, 4) in which a detector finds labelled faces, and their kinds; NaN, and squares, where it does not.
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """The boxes (N, 4) in which a detector finds labelled faces, their kinds, and their rotations (N,) in degrees; NaN,
+    squares and 0 where it does not.
 
     Processes that are joined share the pictures, as in `evaluate`.
 
     Args:
         faces: N labelled faces with landmarks.
         detector: as in ``jaxfit.detect_faces``.
+        search: how faces are looked for, by detectors that come by name.
         progress: called with the stage's name, pictures done and pictures in all.
 
     Raises:
@@ -136,11 +139,13 @@ def detected_boxes(
     names = list(pictures)
     mine = share_of(names)
     stored = partial(read_image, exif=False)  # what labels belong to
-    found = find_faces([names[number] for number in mine], detector, read=stored, progress=progress)
+    found = find_faces([names[number] for number in mine], detector, search=search, read=stored, progress=progress)
     in_pictures: list[list[Detection]] = [[] for _ in pictures]
-    for part in exchanged([mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds]):
-        for picture, box, kind in zip(*part, strict=True):
-            in_pictures[picture].append(Detection(np.array(box), kind))
+    found_here = [mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds, found.rotations.tolist()]
+    for part in exchanged(found_here):
+        for picture, box, kind, rotation in zip(*part, strict=True):
+            in_pictures[picture].append(Detection(np.array(box), kind, rotation))
+    rotations = np.zeros(len(faces))
     boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
     for number, face in enumerate(faces):
         if not face.present.any():
@@ -148,28 +153,29 @@ def detected_boxes(
         candidates, truth = in_pictures[pictures[face.image]], bounding_square(face.landmarks)
         whole = [candidate for candidate in candidates if candidate.kind == WHOLE]  # found wherever the face is
         if match := next(iter(whole), None) or best_match(candidates, truth):
-            boxes[number], kinds[number] = match.box, match.kind
-    return boxes, kinds
+            boxes[number], kinds[number], rotations[number] = match.box, match.kind, match.rotation
+    return boxes, kinds, rotations
 
 
-def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[np.ndarray]]) -> np.ndarray:
-    """Boxes (N, 4) from those given by picture name; each box goes to one face at most, the nearest pairs first.
+def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[GivenBox]]) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes (N, 4), and rotations (N,) in degrees, from those given by picture name; each box goes to one face at most,
+    the nearest pairs first.
 
     NaN where none is left for a face: it counts as undetected.
     """
-    boxes = np.tile(_NO_BOX, (len(faces), 1))
+    boxes, rotations = np.tile(_NO_BOX, (len(faces), 1)), np.zeros(len(faces))
     pictures: dict[Path, list[int]] = {}
     for number, face in enumerate(faces):
         pictures.setdefault(face.image, []).append(number)
     for picture, numbers in pictures.items():
         given = list(named.get(picture.name, []))
-        pairs = sorted((_distance(faces[n], box), n, k) for n in numbers for k, box in enumerate(given))
+        pairs = sorted((_distance(faces[n], each.box), n, k) for n in numbers for k, each in enumerate(given))
         used: set[int] = set()
         for _, number, k in pairs:
             if k not in used and np.isnan(boxes[number]).all():
-                boxes[number] = given[k]
+                boxes[number], rotations[number] = given[k]
                 used.add(k)
-    return boxes
+    return boxes, rotations
 
 
 def _distance(face: FaceRecord, box: np.ndarray) -> float:
@@ -184,6 +190,7 @@ def evaluate(
     boxes: np.ndarray,
     *,
     kind: str | Sequence[str] = SQUARE,
+    rotations: np.ndarray | None = None,
     scheme: Scheme | None = None,
     normaliser: str = "outer",
     starts: Starts = Starts(),
@@ -200,6 +207,7 @@ def evaluate(
         faces: N labelled faces.
         boxes: (N, 4) x, y, width, height in pixels; a NaN box is an undetected face: a failure.
         kind: what drew the boxes, as in ``jaxfit.fit``: one for all, or N.
+        rotations: (N,) how far the faces are turned, as in ``jaxfit.fit``.
         scheme: what the labels mean, if not what the model's landmarks do: fits are converted to it.
         normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
         starts: of each face, as in ``jaxfit.fit``.
@@ -215,7 +223,7 @@ def evaluate(
     """
     require_measurable(model.scheme, scheme or model.scheme, normaliser, faces)
     pipeline = Pipeline(model, starts=starts, passes=passes, read=read)
-    fits, seconds = fit_labelled(pipeline, faces, boxes, kind=kind, progress=progress)
+    fits, seconds = fit_labelled(pipeline, faces, boxes, kind=kind, rotations=rotations, progress=progress)
     return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, seconds_per_face=seconds)
 
 
@@ -258,6 +266,7 @@ def fit_labelled(
     boxes: np.ndarray,
     *,
     kind: str | Sequence[str] = SQUARE,
+    rotations: np.ndarray | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> tuple[Fits, float]:
     """The fits of labelled faces, a row each, and the seconds that a face took; joined processes share the pictures.
@@ -267,6 +276,7 @@ def fit_labelled(
         faces: N labelled faces.
         boxes: (N, 4) in pixels; NaN where there is none.
         kind: what drew the boxes: one for all, or N.
+        rotations: (N,) how far the faces are turned, in degrees, clockwise as seen; None: not at all.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:
@@ -276,7 +286,7 @@ def fit_labelled(
     model, boxes = pipeline.model, np.asarray(boxes, np.float64)
     if boxes.shape != (len(faces), 4):
         raise InputError(f"expected one box for each of {len(faces)} faces, ({len(faces)}, 4); got {boxes.shape}")
-    kinds = [kind] * len(faces) if isinstance(kind, str) else list(kind)
+    kinds, turned = [kind] * len(faces) if isinstance(kind, str) else list(kind), rotation_array(rotations, len(faces))
     if len(kinds) != len(faces):
         raise InputError(f"expected one kind of box, or one for each of {len(faces)} faces; got {len(kinds)}")
     for each in {*kinds}:
@@ -288,7 +298,9 @@ def fit_labelled(
         progress("compiling (cached for later runs)", 0, len(faces))
         compile_batches(pipeline, list(dict.fromkeys(batches_of(own))))
     begin = time.perf_counter()
-    sources_ = sources_of(model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine])
+    sources_ = sources_of(
+        model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine], turned[mine]
+    )
     fits = fits_of_sources(pipeline, sources_, progress)
     seconds = max(exchanged(time.perf_counter() - begin))
     return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan")

@@ -50,8 +50,8 @@ def fit_collection(
     Args:
         pictures: their files.
         out: the folder of the results, made if needed.
-        fitter: how to fit; ``BatchFitter()`` unless told.
-        workers: how many processes; as many as there are cores for unless told.
+        fitter: how to fit; ``BatchFitter()`` by default.
+        workers: how many processes; as many as there are cores for by default.
         gpus: that a worker takes, or which share of one.
         part: pictures a part: what a killed worker loses at most.
         progress: called with the stage's name, pictures done and pictures in all.
@@ -111,11 +111,14 @@ def _require_ray() -> None:
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
     digest = hashlib.sha256(read_named(fitter.model, BUNDLED, "model")).hexdigest()[:16]
-    settings = {name: value for name, value in vars(fitter).items() if name != "cores"} | {
+    settings = {name: value for name, value in vars(fitter).items() if name != "cores"}
+    settings |= {
         "starts": vars(fitter.starts),
         "search": vars(fitter.search),
+        "model": str(fitter.model),
+        "model file": digest,
     }
-    return {"jaxfit": jaxfit.__version__, **settings, "model": str(fitter.model), "model file": digest}
+    return {"jaxfit": jaxfit.__version__, **settings}
 
 
 def _fit_parts(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -15,13 +16,13 @@ import numpy as np
 
 import jaxfit
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import read_boxes
+from jaxfit.data.boxes import GivenBox, read_boxes
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
-from jaxfit.data.overlays import draw_row
+from jaxfit.data.overlays import box_of, draw_name, draw_row
 from jaxfit.data.pictures import read_image, write_image
-from jaxfit.data.rows import PROBLEM, Row, Rows
+from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
@@ -55,6 +56,8 @@ class FolderRun:
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
         overlays: write pictures with the faces drawn over them.
         contact_sheet: write one picture of many faces, the doubtful first.
+        min_confidence: write faces whose confidence is lower to ``doubtful.csv`` instead of the other tables; None
+            writes all to the tables, whose column ``ok`` says which are rather good than not.
         overwrite: begin anew where an unfinished run is in the way.
     """
 
@@ -69,6 +72,7 @@ class FolderRun:
     formats: tuple[str, ...] = DEFAULT_FORMATS
     overlays: bool = True
     contact_sheet: bool = False
+    min_confidence: float | None = None
     overwrite: bool = False
 
     def settings(self, pictures: Sequence[Path]) -> dict[str, Any]:
@@ -109,6 +113,7 @@ class FolderReport:
         pictures: how many there were.
         resumed: how many of them an earlier run had done.
         faces: how many were fitted.
+        doubtful: how many of them are rather bad than good, as the model's confidence says.
         problems: of pictures without a fit, and of faces in them.
         unused: names of pictures in the file of boxes that were not given.
         written: files and folders, in the folder of the results.
@@ -117,6 +122,7 @@ class FolderReport:
     pictures: int
     resumed: int
     faces: int
+    doubtful: int
     problems: tuple[Unfit, ...]
     unused: tuple[str, ...]
     written: tuple[Path, ...]
@@ -155,24 +161,29 @@ def fit_folder(
     chunks = _Chunks(unfinished)
     resumed = _fit_missing(run, pipeline, boxes, files, chunks, progress)
     modes = None if model.space_3d is None else model.space_3d.modes
-    rows = Rows(model.scheme, modes, model.confidence is not None, chunks.faces)
+    fitted = Rows(model.scheme, modes, model.confidence is not None, chunks.faces)
+    rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
     problems = list(chunks.problems())
     write_csv(out / "problems.csv", ["image", "problem"], problems)
+    if run.min_confidence is not None:
+        below = fitted.only(lambda row: row["confidence"] < run.min_confidence)
+        values = ([table_text(value) for value in table_values("landmarks", row)] for row in below)
+        write_csv(out / "doubtful.csv", fitted.tables()["landmarks"], values)
+        written.append("doubtful.csv")
     if run.contact_sheet:
-        problems += starmap(Unfit, write_contact_sheet(out / "contact-sheet.jpg", rows))
+        problems += starmap(Unfit, write_contact_sheet(out / "contact-sheet.jpg", fitted))
         written.append("contact-sheet.jpg")
-    faces = sum(1 for _ in rows)
+    ok = Counter(row["ok"] for row in fitted)
     shutil.rmtree(unfinished)
     written += ["problems.csv", *(["overlays"] if run.overlays else [])]
     unused = sorted(set(boxes or ()) - {path.name for path in files})
-    return FolderReport(
-        len(files), resumed, faces, tuple(problems), tuple(unused), tuple(out / name for name in written)
-    )
+    paths = tuple(out / name for name in written)
+    return FolderReport(len(files), resumed, ok.total(), ok[False], tuple(problems), tuple(unused), paths)
 
 
-_Boxes = Mapping[str, Sequence[np.ndarray]]
+_Boxes = Mapping[str, Sequence[GivenBox]]
 
 
 def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
@@ -183,6 +194,8 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
         require_pyarrow()
     if unknown := [name for name in run.formats if name not in WRITERS]:
         raise InputError(f"expected formats among {', '.join(WRITERS)}; got {unknown[0]!r}")
+    if run.min_confidence is not None and model.confidence is None:
+        raise InputError("expected a model with a confidence, for a least confidence; this one has none")
     if run.boxes is None:
         if run.box_kind != SQUARE:
             raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
@@ -226,8 +239,9 @@ def _fit_missing(
 def _source(path: Path, boxes: _Boxes | None, kind: str) -> Source:
     if boxes is None:
         return Source(path, str(path))
-    given = np.array(boxes.get(path.name, [])).reshape(-1, 4)
-    return Source(path, str(path), given, (kind,) * len(given))
+    given = boxes.get(path.name, [])
+    array = np.array([each.box for each in given]).reshape(-1, 4)
+    return Source(path, str(path), array, (kind,) * len(given), np.array([each.rotation for each in given]))
 
 
 def unique_names(pictures: Sequence[Path]) -> Iterator[str]:
@@ -255,8 +269,10 @@ def _draw(
     def draw(picture: Path, label: str) -> list[Row]:
         try:
             canvas = read_image(picture)
-            for row in faces[str(picture)]:
+            for number, row in enumerate(faces[str(picture)], 1):
                 canvas = draw_row(canvas, row, scheme)
+                name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
+                canvas = draw_name(canvas, name, box_of(row), row["ok"])
             write_image(folder / f"{label}.jpg", canvas)
         except ImageError as error:
             return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]

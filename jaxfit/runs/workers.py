@@ -24,8 +24,8 @@ from jaxfit.models.model import Model
 
 @dataclass(frozen=True)
 class BatchFitter:
-    """Fits batches of pictures: columns in, columns out. It holds its settings only, so that it is small when it is sent
-    to workers; each process loads the model when its first batch comes, once.
+    """Fits batches of pictures: columns in, columns out. It holds its settings only, so that it is small when it is
+    sent to workers; each process loads the model when its first batch comes, once.
 
     Attributes:
         model: a bundled model's name, or a model file that every worker can read.

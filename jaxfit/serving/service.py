@@ -67,7 +67,8 @@ class Service:
             detector: the name of one of the detectors.
 
         Returns:
-            The picture's width and height, upright as its EXIF data say; its faces; and why others that were found have no fit. All coordinates are in pixels.
+            The picture's width and height, upright as its EXIF data say; its faces, as rows of ``faces.jsonl`` with the
+            outlines of heads; and why others that were found have no fit. All coordinates are in pixels.
 
         Raises:
             InputError: no such model or detector, or the model does not know the detector's boxes.

@@ -167,7 +167,7 @@ def test_no_passes_are_refused():
 
 def test_of_several_starts_the_centroid_of_the_fits_is_kept():
     # fits[k, n] is the fit of crop n from the k-th rotation alone.
-    alone = jax.jit(lambda rotation: find(CASCADE, None, CROPS, rotation[None])["landmarks"])
+    alone = jax.jit(lambda rotation: find(CASCADE, None, jnp.asarray(CROPS), rotation[None])["landmarks"])
     fits = np.stack([alone(rotation) for rotation in SEVERAL.rotations])
     expected = [candidates[np.argmin(far_apart(candidates))] for candidates in fits.swapaxes(0, 1)]
     np.testing.assert_allclose(fit_crops(CASCADE, CROPS, SEVERAL), expected, atol=1e-2)

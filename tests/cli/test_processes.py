@@ -1,6 +1,5 @@
 """Two processes on this machine: the results of one, a clear end for both if one is killed, clear words on mistakes."""
 
-import csv
 import os
 import shutil
 import socket
@@ -10,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawing import TRAIN
+from csv_files import read_csv
+from drawn_faces import TRAIN
 from safetensors.numpy import load_file
 
 import jaxfit
 from jaxfit.cli.main import main
+from jaxfit.evaluation.evaluate import start_boxes
 
 OTHER_ENDED = ("another process ended", "another task died")  # in jaxfit's words or JAX's, whichever notices first
 # What a program of several processes does, and what it is not let do.
@@ -29,9 +30,9 @@ from jaxfit.image.frame import Frame
 folder, target, address, index = *sys.argv[1:4], int(sys.argv[4])
 found = jaxfit.read_dataset("pts:" + folder)
 faces, names = found.faces, []
-options = jaxfit.Options((0.6, 0.4), 6, mirror=False, frame=Frame(64, 36.0))
+options = jaxfit.Options(jaxfit.Greedy((0.6, 0.4), 6), mirror=False, frame=Frame(64, 36.0))
 
-def noting(path):
+def noted(path):
     names.append(path.name)
     return read_grey(path)
 
@@ -41,18 +42,19 @@ def refused(work, *given, **ways):
     except jaxfit.InputError as error:
         return str(error)
 
-with jaxfit.join_processes(address, 2, index):
+with jaxfit.learning.join_processes(address, 2, index):
     assert "those of [1] are not those of 0" in refused(jaxfit.train, faces[index:], found.scheme, options=options)
     assert "[1] have none" in refused(jaxfit.train, [faces[0], faces[-1], faces[1]], found.scheme, options=options)
-    trained = jaxfit.train(faces, found.scheme, options=options, read=noting)
+    trained = jaxfit.train(faces, found.scheme, options=options, read=noted)
     assert trained.faces == 24 and "unread.png" in str(trained.problems), trained.problems
     jaxfit.save(trained.model, f"{target}/{index}.safetensors")
     np.save(f"{target}/{index}-read.npy", names)
     result = jaxfit.evaluate(trained.model, faces, start_boxes(faces), normaliser="box")
     np.save(f"{target}/{index}-errors.npy", result.errors)
-    assert [*result.problems] == [24] and "unread.png" in result.problems[24], result.problems
+    (problem,) = result.fits.problems
+    assert problem.row == 24 and "unread.png" in problem.name, problem
     assert "expected one, got 2" in refused(jaxfit.finetune, trained.model, faces)
-    assert "expected one, got 2" in refused(jaxfit.learn_confidence, trained.model, faces)
+    assert "expected one, got 2" in refused(jaxfit.learning.learn_confidence, trained.model, faces)
 """
 
 
@@ -116,8 +118,9 @@ def said_by_jaxfit(output: str) -> list[str]:
 
 def said_by_survivor(processes: list[subprocess.Popen], victim: int, stage: str) -> str:
     """What the other process says at its end when one is killed at a stage that the first tells of."""
-    told = processes[0].stderr
-    assert any(line.startswith(stage) for line in told)
+    first = processes[0].stderr
+    assert first is not None
+    assert any(line.startswith(stage) for line in first)
     processes[victim].kill()
     survivor = processes[1 - victim]
     said = survivor.communicate(timeout=200)[1]
@@ -147,9 +150,7 @@ def test_two_processes_are_as_good_as_one(spoiled: Path, alone: Path, tmp_path: 
     errors = [np.load(tmp_path / f"{index}-errors.npy") for index in range(2)]
     np.testing.assert_array_equal(*errors)
     found = jaxfit.read_dataset(f"pts:{spoiled}").faces
-    expected = jaxfit.evaluate(
-        jaxfit.load(alone), found, jaxfit.evaluation.evaluate.start_boxes(found), normaliser="box"
-    ).errors
+    expected = jaxfit.evaluate(jaxfit.load(alone), found, start_boxes(found), normaliser="box").errors
     np.testing.assert_allclose(errors[0], expected, rtol=0.02)
     assert np.isinf(errors[0][-1])
 
@@ -174,8 +175,7 @@ def test_a_killed_evaluation_ends_for_all_and_can_be_run_again(spoiled: Path, al
     first, second = outputs(both_by_slurm(*command))
     assert "written" in first
     assert said_by_jaxfit(second) == []
-    with open(tmp_path / "faces.csv", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_csv(tmp_path / "faces.csv")
     assert len(rows) == 25
     assert [row["problem"] != "" for row in rows] == [False] * 24 + [True]
 

@@ -73,8 +73,8 @@ def test_jitter_of_nothing_is_the_box_and_seeds_repeat():
 )
 @pytest.mark.parametrize("channels", [(), (3,)])
 def test_boxes_are_refused_with_a_reason(box, reason, channels):
-    told = box_problem(np.array(box, float), (50, 100, *channels))
-    assert (told is None) if reason is None else (reason in told)
+    problem = box_problem(np.array(box, float), (50, 100, *channels))
+    assert (problem is None) if reason is None else (reason in problem)
 
 
 def test_boxes_are_read_by_file_name(tmp_path):

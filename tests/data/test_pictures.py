@@ -1,5 +1,6 @@
 """Pictures from files: every kind that cameras and editors write, and every way to be broken."""
 
+import re
 import struct
 from pathlib import Path
 
@@ -123,7 +124,7 @@ def test_grey_is_what_the_colours_give(tmp_path, rgb):
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])
 @pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_truncated_files_are_told(tmp_path, rgb, suffix, share):
+def test_truncated_files_are_refused(tmp_path, rgb, suffix, share):
     data = encoded(rgb, suffix)
     with pytest.raises(ImageError, match=r"picture: the file is truncated"):
         read_bytes(tmp_path, data[: int(len(data) * share)])
@@ -190,7 +191,7 @@ def test_writing_needs_a_known_ending(tmp_path, rgb):
 
 
 @pytest.mark.parametrize(("suffix", "shape"), [(".jpg", (1, 65_501, 3)), (".webp", (20_000, 1))])
-def test_pictures_too_large_for_their_format_are_told(tmp_path, suffix, shape, capfd):
+def test_pictures_too_large_for_their_format_are_refused(tmp_path, suffix, shape, capfd):
     with pytest.raises(ImageError, match=rf"a\{suffix}: .*{shape[1]} x {shape[0]} pixels is too large for \{suffix}"):
         write_image(tmp_path / f"a{suffix}", np.zeros(shape, np.uint8))
     assert not list(tmp_path.iterdir())
@@ -226,9 +227,8 @@ def test_grey_is_luminance_whatever_the_layout(height, width, seed):
     ],
 )
 def test_other_arrays_are_no_pictures(image):
-    with pytest.raises(ImageError) as told:
+    with pytest.raises(ImageError, match=re.escape(f"got {image.dtype} {image.shape}")):
         to_grey(image)
-    assert f"got {image.dtype} {image.shape}" in str(told.value)
 
 
 def test_pictures_are_found_in_files_and_folders(tmp_path):
@@ -241,7 +241,7 @@ def test_pictures_are_found_in_files_and_folders(tmp_path):
     assert [path.name for path in found] == ["odd.name", "a.png", "b.JPG", "c.heic"]
 
 
-def test_what_is_not_there_is_told(tmp_path):
+def test_what_is_not_there_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"no pictures in .*expected .*\.jpg"):
         find_images([tmp_path])
     with pytest.raises(InputError, match="no such file or folder"):

@@ -6,19 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from jaxfit.data.pictures import read_image
 from jaxfit.data.pts import read_pts, write_pts
-from jaxfit.errors import DatasetError, ImageError, InputError
-from jaxfit.labels.importers.pts_folder import read_pts_folder
+from jaxfit.errors import DatasetError, InputError
 
 POINTS = np.array([[0.0, 0.0], [10.5, -3.25], [1234.125, 7.0]])
 HEADER = "version: 1\nn_points: 2\n{\n1 2\n3 4.5\n}\n"
-
-
-def add_face(folder, stem, count=3, picture=".jpg"):
-    write_pts(folder / f"{stem}.pts", np.arange(2.0 * count).reshape(count, 2))
-    if picture:
-        (folder / f"{stem}{picture}").write_bytes(b"not looked at")
 
 
 @pytest.mark.parametrize("base", [0, 1])
@@ -35,15 +27,6 @@ def test_text_survives_reading_and_writing(tmp_path_factory, points, base):
     write_pts(folder / "b.pts", read_pts(folder / "a.pts", base), base)
     assert (folder / "a.pts").read_text() == (folder / "b.pts").read_text()
     np.testing.assert_allclose(read_pts(folder / "a.pts", base), points, atol=0.000501)
-
-
-def test_points_that_are_missing(tmp_path):
-    add_face(tmp_path, "a", 4)
-    (tmp_path / "a.pts").write_text("1 2\nnan nan\n3 4\nNaN NaN\n")
-    (face,) = read_pts_folder(tmp_path).faces
-    np.testing.assert_array_equal(face.landmarks, [[0, 1], [np.nan, np.nan], [2, 3], [np.nan, np.nan]])
-    np.testing.assert_array_equal(face.present, [True, False, True, False])
-    assert not face.complete
 
 
 @pytest.mark.parametrize(
@@ -98,72 +81,3 @@ def test_wrong_arguments(tmp_path):
     with pytest.raises(InputError, match=r"\(3, 3\)"):
         write_pts(tmp_path / "a.pts", np.zeros((3, 3)))
     assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_gives_faces_by_name_and_subjects_by_number(tmp_path):
-    for stem in ("b_01", "b_2", "image_0001", "a", "x_123", "_1", "c_1_2"):
-        add_face(tmp_path, stem)
-    dataset = read_pts_folder(tmp_path)
-    assert [face.face for face in dataset.faces] == ["_1", "a", "b_01", "b_2", "c_1_2", "image_0001", "x_123"]
-    assert [face.subject for face in dataset.faces] == ["_1", "a", "b", "b", "c_1", "image_0001", "x_123"]
-    assert dataset.problems == ()
-    assert dataset.scheme.name == "points3"
-    assert all(face.complete and face.visible.all() and face.image.exists() for face in dataset.faces)
-
-
-def test_a_point_in_the_corner_is_a_point(tmp_path):
-    add_face(tmp_path, "a")
-    write_pts(tmp_path / "a.pts", POINTS)
-    (face,) = read_pts_folder(tmp_path).faces
-    np.testing.assert_array_equal(face.landmarks[0], [0, 0])
-    assert face.present.all()
-
-
-def test_bases_are_one_pixel_apart(tmp_path):
-    add_face(tmp_path, "a")
-    (one,), (zero,) = read_pts_folder(tmp_path).faces, read_pts_folder(tmp_path, base=0).faces
-    np.testing.assert_array_equal(zero.landmarks - one.landmarks, 1)
-
-
-def test_pictures_have_any_of_the_endings_in_any_case(tmp_path):
-    endings = [".jpg", ".JPEG", ".Png", ".bmp", ".tif", ".TIFF", ".webp"]
-    for index, ending in enumerate(endings):
-        add_face(tmp_path, f"face{index}a", picture=ending)
-    (tmp_path / "face0a.pts").rename(tmp_path / "face0a.PTS")
-    assert [face.image.suffix for face in read_pts_folder(tmp_path).faces] == endings
-
-
-def test_files_that_cannot_be_used_become_problems(tmp_path):
-    for stem in ("a", "b"):
-        add_face(tmp_path, stem)
-    add_face(tmp_path, "other-count", count=4)
-    add_face(tmp_path, "damaged")
-    (tmp_path / "damaged.pts").write_text("not points")
-    dataset = read_pts_folder(tmp_path)
-    assert [face.face for face in dataset.faces] == ["a", "b"]
-    for stem in ("other-count", "damaged"):
-        assert sum(stem in problem for problem in dataset.problems) == 1
-    assert len(dataset.problems) == 2
-
-
-def test_a_face_without_its_picture_stays_a_face(tmp_path):
-    add_face(tmp_path, "a")
-    add_face(tmp_path, "no.picture", picture="")
-    dataset = read_pts_folder(tmp_path)
-    assert [face.face for face in dataset.faces] == ["a", "no.picture"]
-    assert dataset.problems == ()
-    with pytest.raises(ImageError, match=r"no\.picture\.jpg: cannot be read \(No such file"):
-        read_image(dataset.faces[1].image)
-
-
-def test_folders_without_faces(tmp_path):
-    with pytest.raises(DatasetError, match="expected a folder"):
-        read_pts_folder(tmp_path / "missing")
-    with pytest.raises(DatasetError, match=r"expected \.pts files"):
-        read_pts_folder(tmp_path)
-    (tmp_path / "damaged.pts").write_text("not points")
-    with pytest.raises(DatasetError, match=r"first problem: .*damaged"):
-        read_pts_folder(tmp_path)
-    add_face(tmp_path, "lonely", picture="")
-    with pytest.raises(DatasetError, match=r"found none of 1, such as .*lonely\.jpg"):
-        read_pts_folder(tmp_path)

@@ -102,7 +102,7 @@ def test_files_that_are_no_videos(tmp_path: Path) -> None:
 def test_codecs_hold_their_tongues(tmp_path: Path) -> None:
     film(tmp_path / "film.mp4")
     (tmp_path / "half.mp4").write_bytes((tmp_path / "film.mp4").read_bytes()[:400])
-    code = "import sys, contextlib, jaxfit\nwith contextlib.suppress(jaxfit.InputError): jaxfit.Video(sys.argv[1])"
+    code = "import contextlib, jaxfit, sys\nwith contextlib.suppress(jaxfit.InputError): jaxfit.data.Video(sys.argv[1])"
     done = subprocess.run([sys.executable, "-c", code, tmp_path / "half.mp4"], capture_output=True, check=True)
     assert (done.stdout, done.stderr) == (b"", b"")
 

@@ -1,51 +1,53 @@
-"""Several devices, here the processor taken for two: the same fits as one device makes, in any number."""
+"""Several devices, here the processor taken for two: the same fits as one device makes."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
-import pytest
+import jaxfit
 
-from jaxfit.models.files import bundled
-
-# Pictures of noise will do: what is found in them must not depend on devices.
+# Pictures of noise will do: what is found in them must not depend on devices. 3D alignment solves systems in batches,
+# for which two devices once waited forever.
 FIT = """
 import sys
+from importlib import import_module
+sys.path[:0] = sys.argv[1:]
 import jax, numpy as np
-name, devices, target = sys.argv[1], int(sys.argv[2]), sys.argv[3]
-jax.config.update("jax_num_cpu_devices", devices)
+jax.config.update("jax_num_cpu_devices", 2)
+jax.config.update("jax_disable_most_optimizations", True)  # compiles sooner
 import jaxfit
-from jaxfit import fitting
-from jaxfit.fitting.stream import batch_sizes
-# Large batches whatever the number of threads: those of other sizes are rounded differently.
-fitting.reading_threads = lambda count: 1
-assert batch_sizes()[0] == 64 * devices
-rng = np.random.default_rng(0)
-pictures = [rng.integers(0, 256, (90, 90), dtype=np.uint8) for _ in range(138)]
-fits = jaxfit.fit(jaxfit.load(name), pictures, np.tile([15.0, 15.0, 60.0, 60.0], (138, 1)))
-assert len(jax.local_devices()) == devices and fits.ok.all()
-np.save(target, fits.landmarks if fits.landmarks_3d is None else fits.landmarks_3d)
-# Few faces are computed where the caller says, though in threads.
-used, find = set(), fitting._find
-def seen(*given):
+from small import random_model
+stream = import_module("jaxfit.fitting.stream")
+stream.BATCHES = (16,)
+assert stream.batch_sizes() == (32, 16)
+
+used, find = [], stream._find
+def remembering(*given):
     found = find(*given)
-    used.update(*(of.devices() for of in found.values()))
+    used.append(sorted(device.id for device in found["landmarks"].devices()))
     return found
-fitting._find = seen
-with jax.default_device(jax.local_devices()[-1]):
-    jaxfit.fit(jaxfit.load(name), pictures[:3], np.tile([15.0, 15.0, 60.0, 60.0], (3, 1)))
-assert used == {jax.local_devices()[-1]}, used
+stream._find = remembering
+
+def fits():
+    rng = np.random.default_rng(0)
+    pictures = [rng.integers(0, 256, (90, 90), dtype=np.uint8) for _ in range(48)]
+    with jax.default_device(jax.local_devices()[1]):
+        return jaxfit.fit(model, pictures, np.tile([15.0, 15.0, 60.0, 60.0], (48, 1)))
+
+model = random_model("alignment3d")
+together = fits()
+assert used == [[0, 1], [1]], used  # the last batch where the caller says, though in a thread
+stream.batch_sizes = lambda: (16,)
+alone = fits()
+assert used[2:] == [[1]] * 3, used
+assert together.ok.all()
+assert len(np.unique(together.landmarks[:, 0, 0])) == 48
+for name, values in alone.arrays.items():
+    np.testing.assert_allclose(together.arrays[name], values, atol=1e-3)
 """
 
 
-# 3D alignment solves systems in batches, for which two devices once waited forever.
-@pytest.mark.parametrize("name", ["sdm68", "alignment68-3d"])
-def test_devices_share_the_work_and_find_the_same(name: str, tmp_path: Path) -> None:
-    assert name in bundled()
-    found = []
-    for devices in (1, 2):
-        target = tmp_path / f"{devices}.npy"
-        subprocess.run([sys.executable, "-c", FIT, name, str(devices), str(target)], check=True, timeout=300)
-        found.append(np.load(target))
-    np.testing.assert_allclose(found[1], found[0], atol=1e-3)
+def test_devices_share_the_work_and_find_the_same() -> None:
+    folders = [str(Path(jaxfit.__file__).parents[1]), str(Path(__file__).parent)]
+    child = subprocess.run([sys.executable, "-c", FIT, *folders], capture_output=True, text=True, timeout=600)
+    assert child.returncode == 0, child.stderr

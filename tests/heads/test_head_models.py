@@ -1,9 +1,9 @@
 """Head models: what they learn, what they say of one scheme's points, their files, and the bundled one."""
 
 import itertools
-import json
 import runpy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jaxtyping
@@ -14,6 +14,7 @@ from safetensors.numpy import load as unpack
 from safetensors.numpy import save as pack
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
+from tensor_files import load_bytes, repack
 
 import jaxfit.models
 from jaxfit.errors import InputError, ModelError
@@ -254,28 +255,13 @@ def good(tmp_path_factory):
 
 @pytest.fixture
 def loaded(tmp_path, monkeypatch):
-    """Loads bytes: the head model, or the words of the ModelError. Any other exception fails the test."""
-    path = tmp_path / "head.safetensors"
+    """Loads bytes: the head model, or the words of the ModelError."""
     # Users have no checks of types at run time: they must not be what refuses a file.
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-
-    def load_bytes(data):
-        path.write_bytes(data)
-        try:
-            return load_head_model(path)
-        except ModelError as error:
-            return str(error)
-
-    return load_bytes
+    return partial(load_bytes, load_head_model, tmp_path / "head.safetensors")
 
 
-def repacked(good, change=lambda header: None, **tensors):
-    """A well-formed file whose header and tensors were changed; a tensor that is None is left out."""
-    length = int.from_bytes(good[:8], "little")
-    header = json.loads(json.loads(good[8 : 8 + length])["__metadata__"]["jaxfit-head"])
-    change(header)
-    arrays = {name: array for name, array in (unpack(good) | tensors).items() if array is not None}
-    return pack(arrays, {"jaxfit-head": json.dumps(header)})
+repacked = partial(repack, "jaxfit-head")
 
 
 def test_a_loaded_head_is_the_saved_one(tmp_path):

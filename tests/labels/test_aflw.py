@@ -1,60 +1,30 @@
 """AFLW's database, from a generated one with known faces."""
 
-import sqlite3
-
 import numpy as np
 import pytest
+from pose_signs import correlation, depth_below_the_eyes
+from written_labels import AFLW_POINTS, add_aflw_face, add_aflw_picture, new_aflw
 
 from jaxfit.errors import DatasetError
 from jaxfit.labels.importers.aflw import read_aflw
-
-TABLES = """
-    CREATE TABLE Faces(face_id INTEGER PRIMARY KEY, file_id TEXT, db_id TEXT);
-    CREATE TABLE FaceImages(image_id INTEGER PRIMARY KEY, db_id TEXT, file_id TEXT, filepath TEXT);
-    CREATE TABLE FacePose(face_id INTEGER PRIMARY KEY, roll REAL, pitch REAL, yaw REAL);
-    CREATE TABLE FaceRect(face_id INTEGER PRIMARY KEY, x INTEGER, y INTEGER, w INTEGER, h INTEGER);
-    CREATE TABLE FeatureCoords(face_id INTEGER, feature_id INTEGER, x REAL, y REAL,
-                               PRIMARY KEY(face_id, feature_id));
-"""
-POINTS = np.arange(42.0).reshape(21, 2) + 0.5
-
-
-def add_face(database, face, picture="p1", features=range(1, 22)):
-    database.execute("INSERT INTO Faces VALUES (?, ?, 'aflw')", (face, picture))
-    database.execute("INSERT INTO FacePose VALUES (?, 0.1, 0.2, 0.3)", (face,))
-    database.execute("INSERT INTO FaceRect VALUES (?, -1, 2, 30, 40)", (face,))
-    for feature in features:
-        x, y = POINTS[feature - 1]
-        database.execute("INSERT INTO FeatureCoords VALUES (?, ?, ?, ?)", (face, feature, x, y))
-
-
-def add_picture(database, folder, picture, on_disk=True):
-    database.execute(
-        "INSERT INTO FaceImages(db_id, file_id, filepath) VALUES ('aflw', ?, ?)", (picture, f"0/{picture}")
-    )
-    if on_disk:
-        (folder / "flickr" / "0" / picture).touch()
 
 
 @pytest.fixture(params=[".", "data"])
 def aflw(request, tmp_path):
     """The folder that users name, the folder that holds everything, and the open database."""
     folder = tmp_path / request.param
-    (folder / "flickr" / "0").mkdir(parents=True)
-    database = sqlite3.connect(folder / "aflw.sqlite", isolation_level=None)
-    database.execute("PRAGMA synchronous = OFF")
-    database.executescript(TABLES)
-    add_picture(database, folder, "p1")
+    database = new_aflw(folder)
+    add_aflw_picture(database, folder, "p1")
     yield tmp_path, folder, database
     database.close()
 
 
 def test_a_complete_face(aflw):
     path, folder, database = aflw
-    add_face(database, 7)
+    add_aflw_face(database, 7)
     dataset = read_aflw(path)
     (face,) = dataset.faces
-    np.testing.assert_array_equal(face.landmarks, POINTS)
+    np.testing.assert_array_equal(face.landmarks, AFLW_POINTS)
     np.testing.assert_array_equal(face.box, [-1, 2, 30, 40])
     np.testing.assert_allclose(face.pose, np.degrees([-0.1, 0.2, 0.3]))
     assert face.complete
@@ -64,19 +34,19 @@ def test_a_complete_face(aflw):
 
 def test_points_without_a_row_are_missing(aflw):
     path, _, database = aflw
-    add_face(database, 1, features=[20, 1, 8])
+    add_aflw_face(database, 1, features=[20, 1, 8])
     (face,) = read_aflw(path).faces
     assert np.flatnonzero(face.present).tolist() == [0, 7, 19]
     np.testing.assert_array_equal(np.isnan(face.landmarks).all(1), ~face.present)
-    np.testing.assert_array_equal(face.landmarks[face.present], POINTS[[0, 7, 19]])
+    np.testing.assert_array_equal(face.landmarks[face.present], AFLW_POINTS[[0, 7, 19]])
     assert not face.complete
 
 
 def test_faces_of_one_picture_share_the_subject_and_come_in_order(aflw):
     path, folder, database = aflw
-    add_picture(database, folder, "p2")
+    add_aflw_picture(database, folder, "p2")
     for face, picture in ((10, "p1"), (9, "p2"), (2, "p1")):
-        add_face(database, face, picture)
+        add_aflw_face(database, face, picture)
     assert [(face.face, face.subject) for face in read_aflw(path).faces] == [
         ("2", "0/p1"),
         ("9", "0/p2"),
@@ -86,7 +56,7 @@ def test_faces_of_one_picture_share_the_subject_and_come_in_order(aflw):
 
 def test_box_and_pose_may_be_missing(aflw):
     path, _, database = aflw
-    add_face(database, 1)
+    add_aflw_face(database, 1)
     database.execute("DELETE FROM FacePose")
     database.execute("UPDATE FaceRect SET w = NULL")
     (face,) = read_aflw(path).faces
@@ -94,35 +64,22 @@ def test_box_and_pose_may_be_missing(aflw):
     assert face.box is None
 
 
-def test_a_face_without_its_picture_stays_a_face(aflw):
-    path, folder, database = aflw
-    add_picture(database, folder, "gone", on_disk=False)
-    add_face(database, 3, "gone")
-    with pytest.raises(DatasetError, match=r"found none of 1, such as .*gone"):
-        read_aflw(path)
-    add_face(database, 1)
-    dataset = read_aflw(path)
-    assert [face.image for face in dataset.faces] == [folder / "flickr/0/p1", folder / "flickr/0/gone"]
-    assert dataset.problems == ()
-
-
 def test_faces_that_cannot_be_used_become_problems(aflw):
     path, _, database = aflw
-    add_face(database, 1)
-    add_face(database, 2, features=[])
-    add_face(database, 4, "unknown")
+    add_aflw_face(database, 1)
+    add_aflw_face(database, 2, features=[])
+    add_aflw_face(database, 4, "unknown")
     dataset = read_aflw(path)
     assert [face.face for face in dataset.faces] == ["1"]
-    told = ("face 2 in 0/p1: no landmarks", "face 4: the database names no picture")
-    assert len(dataset.problems) == len(told)
-    assert all(part in problem for part, problem in zip(told, dataset.problems, strict=True))
+    expected = ("face 2 in 0/p1: no landmarks", "face 4: the database names no picture")
+    assert all(part in problem for part, problem in zip(expected, dataset.problems, strict=True))
 
 
 def test_databases_that_are_not_aflw(aflw):
     path, folder, database = aflw
     with pytest.raises(DatasetError, match="lists no faces"):
         read_aflw(path)
-    add_face(database, 1)
+    add_aflw_face(database, 1)
     database.execute("INSERT INTO FeatureCoords VALUES (1, 22, 0, 0)")
     with pytest.raises(DatasetError, match="feature_id 22 of face 1"):
         read_aflw(path)
@@ -140,7 +97,7 @@ def test_databases_that_are_not_aflw(aflw):
 def test_truncated_database(aflw):
     path, folder, database = aflw
     for face in range(1, 200):
-        add_face(database, face)
+        add_aflw_face(database, face)
     data = (folder / "aflw.sqlite").read_bytes()
     (folder / "aflw.sqlite").write_bytes(data[: len(data) // 2])
     with pytest.raises(DatasetError, match=r"malformed|disk image"):
@@ -150,7 +107,7 @@ def test_truncated_database(aflw):
 def test_a_database_whose_errors_are_no_text(aflw):
     """SQLite quotes what it does not understand, and here that is not UTF-8."""
     folder, home, database = aflw
-    add_face(database, 1)
+    add_aflw_face(database, 1)
     database.close()
     file = home / "aflw.sqlite"
     file.write_bytes(file.read_bytes().replace(b"CREATE TABLE FaceRect", b"CREATE TABLE \x89aceR\xeb("))
@@ -160,7 +117,7 @@ def test_a_database_whose_errors_are_no_text(aflw):
 
 def test_reading_leaves_no_trace(aflw):
     path, folder, database = aflw
-    add_face(database, 1)
+    add_aflw_face(database, 1)
     database.close()
     folder.chmod(0o555)
     before = sorted(folder.iterdir())
@@ -176,21 +133,11 @@ def test_pose_signs_agree_with_the_landmarks(real_dataset):
     roll, pitch, yaw = np.array([face.pose for face in faces]).T
     left, right, nose, mouth = (landmarks[:, index] for index in (7, 10, 14, 18))
     ears = (landmarks[:, 12] + landmarks[:, 16]) / 2
-    line, middle = right - left, (left + right) / 2
-    below = np.stack([-line[:, 1], line[:, 0]], 1)
-
-    def across(points):
-        """Distance below the eye line, relative to the mouth's."""
-        return ((points - middle) * below).sum(1) / ((mouth - middle) * below).sum(1)
-
-    def correlation(one, other, turned):
-        use = np.isfinite(one + other) & (np.abs(yaw) < turned)
-        return np.corrcoef(one[use], other[use])[0, 1]
-
-    assert correlation(roll, np.degrees(np.arctan2(line[:, 1], line[:, 0])), 45) > 0.9
-    assert correlation(yaw, ((nose - middle) * line).sum(1) / (line**2).sum(1), 60) < -0.8
-    assert correlation(pitch, across(nose), 15) < -0.6
-    assert correlation(pitch, across(ears), 15) > 0.7
+    line, middle, turned = right - left, (left + right) / 2, np.abs(yaw)
+    assert correlation(roll, np.degrees(np.arctan2(line[:, 1], line[:, 0])), turned < 45) > 0.9
+    assert correlation(yaw, ((nose - middle) * line).sum(1) / (line**2).sum(1), turned < 60) < -0.8
+    assert correlation(pitch, depth_below_the_eyes(nose, left, right, mouth), turned < 15) < -0.6
+    assert correlation(pitch, depth_below_the_eyes(ears, left, right, mouth), turned < 15) > 0.7
     present = np.array([face.present for face in faces])
     assert yaw[~present[:, 12] & present[:, 16]].mean() > 30
     assert yaw[present[:, 12] & ~present[:, 16]].mean() < -30

@@ -4,35 +4,24 @@ import random
 
 import numpy as np
 import pytest
+from written_labels import LFPW_POINTS, lfpw_row, write_lfpw
 
 from jaxfit.errors import DatasetError
 from jaxfit.labels.importers.lfpw import read_lfpw
-from jaxfit.schemes.known import LFPW29_NAMES
-
-POINTS = np.arange(58.0).reshape(29, 2) + 0.25
-
-
-def row(image="a.jpg", worker="average", states=(0,) * 29, **changes):
-    cells = {"imgurl": image, "worker": worker, "left_ear_top_x": "5"}
-    for name, (x, y), state in zip(LFPW29_NAMES, POINTS, states, strict=True):
-        cells |= {f"{name}_x": f"{x}", f"{name}_y": f"{y}", f"{name}_t": f"{state}"}
-    return cells | changes
 
 
 def write(folder, rows, columns=None):
-    columns = columns or list(rows[0])
-    lines = ["\t".join(columns)] + ["\t".join(cells[column] for column in columns) for cells in rows]
-    (folder / "lfpw.csv").write_text("\n".join(lines) + "\n")
-    (folder / "a.jpg").touch()
-    (folder / "b.jpg").touch()
-    return folder / "lfpw.csv"
+    """With the pictures ``a.jpg`` and ``b.jpg``."""
+    for name in "ab":
+        (folder / f"{name}.jpg").touch()
+    return write_lfpw(folder, rows, columns)
 
 
 def test_points_and_states(tmp_path):
     states = [index % 4 for index in range(29)]
-    dataset = read_lfpw(write(tmp_path, [row(states=states)]))
+    dataset = read_lfpw(write(tmp_path, [lfpw_row(states=states)]))
     (face,) = dataset.faces
-    np.testing.assert_array_equal(face.landmarks, POINTS)
+    np.testing.assert_array_equal(face.landmarks, LFPW_POINTS)
     np.testing.assert_array_equal(face.visible, np.array(states) == 0)
     assert face.complete
     assert dataset.problems == ()
@@ -40,22 +29,27 @@ def test_points_and_states(tmp_path):
 
 
 def test_the_order_of_columns_does_not_matter(tmp_path):
-    columns = list(row())
+    columns = list(lfpw_row())
     random.Random(0).shuffle(columns)
-    (face,) = read_lfpw(write(tmp_path, [row()], columns)).faces
-    np.testing.assert_array_equal(face.landmarks, POINTS)
+    (face,) = read_lfpw(write(tmp_path, [lfpw_row()], columns)).faces
+    np.testing.assert_array_equal(face.landmarks, LFPW_POINTS)
 
 
 def test_the_average_of_several_workers_counts(tmp_path):
-    rows = [row(worker="w1", chin_x="1"), row(worker="average"), row(worker="w2", chin_x="2"), row("b.jpg", "w1")]
+    rows = [
+        lfpw_row(worker="w1", chin_x="1"),
+        lfpw_row(worker="average"),
+        lfpw_row(worker="w2", chin_x="2"),
+        lfpw_row("b.jpg", "w1"),
+    ]
     dataset = read_lfpw(write(tmp_path, rows))
     assert [face.face for face in dataset.faces] == ["a", "b"]
-    np.testing.assert_array_equal(dataset.faces[0].landmarks, POINTS)
+    np.testing.assert_array_equal(dataset.faces[0].landmarks, LFPW_POINTS)
     assert dataset.problems == ()
 
 
 def test_two_faces_of_one_picture_stay_apart_but_share_the_subject(tmp_path):
-    one, other = read_lfpw(write(tmp_path, [row(), row(chin_x="1")])).faces
+    one, other = read_lfpw(write(tmp_path, [lfpw_row(), lfpw_row(chin_x="1")])).faces
     assert one.face != other.face
     assert one.subject == other.subject
 
@@ -63,39 +57,31 @@ def test_two_faces_of_one_picture_stay_apart_but_share_the_subject(tmp_path):
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (row("b.jpg", chin_x="x"), "line 3: expected numbers"),
-        (row("b.jpg", chin_x=""), "line 3: expected numbers"),
-        (row("b.jpg", chin_y="nan"), "line 3: expected finite"),
-        (row("b.jpg", chin_t="4"), "line 3: expected numbers"),
-        (row(""), "line 3: the row names no picture"),
-        (row("."), "line 3: the row names no picture"),
+        (lfpw_row("b.jpg", chin_x="x"), "line 3: expected numbers"),
+        (lfpw_row("b.jpg", chin_x=""), "line 3: expected numbers"),
+        (lfpw_row("b.jpg", chin_y="nan"), "line 3: expected finite"),
+        (lfpw_row("b.jpg", chin_t="4"), "line 3: expected numbers"),
+        (lfpw_row(""), "line 3: the row names no picture"),
+        (lfpw_row("."), "line 3: the row names no picture"),
     ],
 )
 def test_rows_that_cannot_be_used_become_problems(tmp_path, bad, reason):
-    dataset = read_lfpw(write(tmp_path, [row(), bad]))
+    dataset = read_lfpw(write(tmp_path, [lfpw_row(), bad]))
     assert [face.face for face in dataset.faces] == ["a"]
     (problem,) = dataset.problems
     assert reason in problem
 
 
-def test_a_face_without_its_picture_stays_a_face(tmp_path):
-    dataset = read_lfpw(write(tmp_path, [row(), row("x/missing.jpg")]))
-    assert [face.image for face in dataset.faces] == [tmp_path / "a.jpg", tmp_path / "x/missing.jpg"]
-    assert dataset.problems == ()
-    with pytest.raises(DatasetError, match=r"found none of 1, such as .*missing\.jpg"):
-        read_lfpw(write(tmp_path, [row("missing.jpg")]))
-
-
 def test_faces_of_one_file_name_in_two_folders_stay_apart(tmp_path):
-    rows = [row(), row("x/1.jpg"), row("y/1.jpg"), row("y/1.png")]
+    rows = [lfpw_row(), lfpw_row("x/1.jpg"), lfpw_row("y/1.jpg"), lfpw_row("y/1.png")]
     faces = read_lfpw(write(tmp_path, rows)).faces
     assert [face.face for face in faces] == ["a", "x/1", "y/1-4", "y/1-5"]
     assert [face.subject for face in faces] == ["a", "x/1", "y/1", "y/1"]
 
 
 def test_short_rows_without_a_picture_become_problems(tmp_path):
-    columns = sorted(row(), key="imgurl".__eq__)
-    file = write(tmp_path, [row()], columns)
+    columns = sorted(lfpw_row(), key="imgurl".__eq__)
+    file = write(tmp_path, [lfpw_row()], columns)
     with file.open("a") as text:
         text.write("1\t2\n3\n")
     dataset = read_lfpw(file)
@@ -107,7 +93,7 @@ def test_short_rows_without_a_picture_become_problems(tmp_path):
 
 
 def test_short_rows_and_workers_without_average_become_problems(tmp_path):
-    file = write(tmp_path, [row(), row("b.jpg", "w1"), row("b.jpg", "w2")])
+    file = write(tmp_path, [lfpw_row(), lfpw_row("b.jpg", "w1"), lfpw_row("b.jpg", "w2")])
     with file.open("a") as text:
         text.write("b2.jpg\taverage\t1\nb3.jpg\n")
     dataset = read_lfpw(file)
@@ -119,7 +105,7 @@ def test_files_that_are_not_lfpw(tmp_path):
     with pytest.raises(DatasetError, match="No such file"):
         read_lfpw(tmp_path / "lfpw.csv")
     with pytest.raises(DatasetError, match=r"1 missing: chin_t"):
-        read_lfpw(write(tmp_path, [row()], [name for name in row() if name != "chin_t"]))
+        read_lfpw(write(tmp_path, [lfpw_row()], [name for name in lfpw_row() if name != "chin_t"]))
     (tmp_path / "empty.csv").touch()
     with pytest.raises(DatasetError, match="89 missing"):
         read_lfpw(tmp_path / "empty.csv")
@@ -127,4 +113,4 @@ def test_files_that_are_not_lfpw(tmp_path):
     with pytest.raises(DatasetError, match="tab-separated"):
         read_lfpw(tmp_path / "binary.csv")
     with pytest.raises(DatasetError, match="no rows"):
-        read_lfpw(write(tmp_path, [], list(row())))
+        read_lfpw(write(tmp_path, [], list(lfpw_row())))

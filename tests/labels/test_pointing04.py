@@ -2,25 +2,16 @@
 
 import numpy as np
 import pytest
+from written_labels import POINTING04_BOX, write_pointing04_face
 
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.labels.datasets import convert_dataset, read_dataset
 from jaxfit.labels.importers.pointing04 import read_pointing04
 from jaxfit.schemes.known import IBUG68, NO_LANDMARKS
 
-BOX = "192\n237\n126\n95\n"
-
-
-def write_face(folder, stem, box=BOX, picture=True):
-    folder.mkdir(exist_ok=True)
-    if picture:
-        (folder / f"{stem}.jpg").touch()
-    if box is not None:
-        (folder / f"{stem}.txt").write_text(f"{stem}.jpg\n\nFace\n{box}")
-
 
 def test_a_face(tmp_path):
-    write_face(tmp_path / "Person01", "person01231+0-15")
+    write_pointing04_face(tmp_path / "Person01", "person01231+0-15")
     dataset = read_pointing04(tmp_path)
     (face,) = dataset.faces
     np.testing.assert_array_equal(face.box, [192 - 63, 237 - 47.5, 126, 95])
@@ -33,14 +24,14 @@ def test_a_face(tmp_path):
 
 @pytest.mark.parametrize(("name", "tilt", "pan"), [("-90+0", -90, 0), ("+60-75", 60, -75), ("+0+90", 0, 90)])
 def test_names_say_the_pose(tmp_path, name, tilt, pan):
-    write_face(tmp_path / "Person15", f"person15192{name}")
+    write_pointing04_face(tmp_path / "Person15", f"person15192{name}")
     (face,) = read_pointing04(tmp_path).faces
     assert face.pose[1:].tolist() == [tilt, pan]
     assert face.subject == "Person15"
 
 
 def test_a_face_without_landmarks_is_not_complete(tmp_path):
-    write_face(tmp_path / "Person01", "person01146+0+0")
+    write_pointing04_face(tmp_path / "Person01", "person01146+0+0")
     (face,) = read_pointing04(tmp_path).faces
     assert face.landmarks.shape == (0, 2)
     assert face.present.shape == face.visible.shape == (0,)
@@ -50,9 +41,9 @@ def test_a_face_without_landmarks_is_not_complete(tmp_path):
 def test_people_come_in_order_and_one_may_be_named(tmp_path):
     for person in ("03", "01", "02"):
         for pose in ("01+0", "00-90"):
-            write_face(tmp_path / f"Person{person}", f"person{person}1{pose}+0")
+            write_pointing04_face(tmp_path / f"Person{person}", f"person{person}1{pose}+0")
     (tmp_path / "Person01" / "Thumbs.db").touch()
-    write_face(tmp_path / "Front", "person01146+0+0")
+    write_pointing04_face(tmp_path / "Front", "person01146+0+0")
     names = [face.face for face in read_pointing04(tmp_path).faces]
     assert names == [f"person{person}1{pose}+0" for person in ("01", "02", "03") for pose in ("00-90", "01+0")]
     assert [face.face for face in read_pointing04(tmp_path / "Person02").faces] == names[2:4]
@@ -60,11 +51,19 @@ def test_people_come_in_order_and_one_may_be_named(tmp_path):
 
 @pytest.mark.parametrize(
     "box",
-    [None, "", "192\n237\n126\n", BOX + "1\n", "192\n237\nwide\n94\n", "192\n237\nnan\n94\n", "192\n237\n0\n94\n"],
+    [
+        None,
+        "",
+        "192\n237\n126\n",
+        POINTING04_BOX + "1\n",
+        "192\n237\nwide\n94\n",
+        "192\n237\nnan\n94\n",
+        "192\n237\n0\n94\n",
+    ],
 )
 def test_a_face_without_a_readable_box_stays_and_is_reported(tmp_path, box):
-    write_face(tmp_path / "Person01", "person01100-90+0", box)
-    write_face(tmp_path / "Person01", "person01146+0+0")
+    write_pointing04_face(tmp_path / "Person01", "person01100-90+0", box)
+    write_pointing04_face(tmp_path / "Person01", "person01146+0+0")
     dataset = read_pointing04(tmp_path)
     assert [face.box is None for face in dataset.faces] == [True, False]
     (problem,) = dataset.problems
@@ -73,7 +72,7 @@ def test_a_face_without_a_readable_box_stays_and_is_reported(tmp_path, box):
 
 
 def test_text_files_of_another_kind_are_no_boxes(tmp_path):
-    write_face(tmp_path / "Person01", "person01146+0+0", box=None)
+    write_pointing04_face(tmp_path / "Person01", "person01146+0+0", box=None)
     for content in (b"person01146+0+0.jpg\n\nHand\n1\n2\n3\n4\n", b"\xff\xfe\x00\xd8"):
         (tmp_path / "Person01" / "person01146+0+0.txt").write_bytes(content)
         dataset = read_pointing04(tmp_path)
@@ -83,10 +82,10 @@ def test_text_files_of_another_kind_are_no_boxes(tmp_path):
 
 @pytest.mark.parametrize("stem", ["person01146+0", "person01146+0+0 copy", "person146+0+0", "readme"])
 def test_names_without_a_pose_become_problems(tmp_path, stem):
-    write_face(tmp_path / "Person01", stem)
+    write_pointing04_face(tmp_path / "Person01", stem)
     with pytest.raises(DatasetError, match=r"first problem: .*expected a name such as"):
         read_pointing04(tmp_path)
-    write_face(tmp_path / "Person01", "person01146+0+0")
+    write_pointing04_face(tmp_path / "Person01", "person01146+0+0")
     dataset = read_pointing04(tmp_path)
     assert [face.face for face in dataset.faces] == ["person01146+0+0"]
     (problem,) = dataset.problems
@@ -96,15 +95,10 @@ def test_names_without_a_pose_become_problems(tmp_path, stem):
 def test_folders_without_pictures(tmp_path):
     with pytest.raises(DatasetError, match="there are none"):
         read_pointing04(tmp_path)
-    write_face(tmp_path / "Person01", "person01100-90+0", picture=False)
-    with pytest.raises(DatasetError, match=r"found none of 1, such as .*person01100-90"):
-        read_pointing04(tmp_path)
-    write_face(tmp_path / "Person01", "person01146+0+0")
-    assert len(read_pointing04(tmp_path).faces) == 2
 
 
 def test_there_are_no_landmarks_to_convert(tmp_path):
-    write_face(tmp_path / "Person01", "person01146+0+0")
+    write_pointing04_face(tmp_path / "Person01", "person01146+0+0")
     dataset = read_dataset(f"pointing04:{tmp_path}")
     for scheme in (IBUG68, NO_LANDMARKS):
         with pytest.raises(InputError, match=r"pointing04:.*: its faces have no landmarks"):

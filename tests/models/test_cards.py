@@ -26,11 +26,11 @@ def test_models_are_listed_and_described(capsys) -> None:
     assert lines[0].startswith(DEFAULT_MODEL)
     assert sorted(line.split()[0] for line in lines if " MB  " in line) == sorted(jaxfit.bundled())
     assert main(["models", *jaxfit.bundled()]) == 0
-    told = dict(re.findall(r"^(\S+)\n((?:  .*\n?)+)", capsys.readouterr().out, re.MULTILINE))
+    described = dict(re.findall(r"^(\S+)\n((?:  .*\n?)+)", capsys.readouterr().out, re.MULTILINE))
     for name in jaxfit.bundled():
         model = jaxfit.load(name)
-        assert f"{model.scheme.count} ({model.scheme.name})" in told[name]
-        assert ("3D shape and pose" in told[name]) == (model.space_3d is not None)
-        assert all(kind in told[name] for kind in model.known_placements)
+        assert f"{model.scheme.count} ({model.scheme.name})" in described[name]
+        assert ("3D shape and pose" in described[name]) == (model.space_3d is not None)
+        assert all(kind in described[name] for kind in model.known_placements)
     assert main(["models", "nobody"]) == 2
     assert "no model 'nobody'" in capsys.readouterr().err

@@ -17,7 +17,7 @@ from jaxfit.data.pictures import to_grey
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.shapes.space import Start
 
-STARTS = 11
+STARTS = jaxfit.Starts(11)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_agrees_with_sdm68(portrait, box, upright) -> None:
 @pytest.mark.parametrize("degrees", [-90, -65, -40, 0, 20, 50, 90])
 def test_finds_the_face_in_a_turned_picture(model, portrait, box, upright, degrees) -> None:
     picture, rotation, offset = turned(portrait, box, degrees)
-    found = jaxfit.fit(model, [picture], [box], initialisations=STARTS).landmarks[0]
+    found = jaxfit.fit(model, [picture], [box], starts=STARTS).landmarks[0]
     assert apart(found, upright @ rotation.T + offset, upright) < 0.06
 
 
@@ -158,7 +158,7 @@ def test_turned_real_faces_are_as_good_as_upright_ones(model, real_dataset: Call
     medians = []
     for degrees in (0, 70):
         views = [turned(image, box, degrees) for image, box in zip(images, boxes, strict=True)]
-        fits = jaxfit.fit(model, [picture for picture, _, _ in views], boxes, initialisations=STARTS).landmarks
+        fits = jaxfit.fit(model, [picture for picture, _, _ in views], boxes, starts=STARTS).landmarks
         moved = np.stack([points @ turn.T + offset for points, (_, turn, offset) in zip(truth, views, strict=True)])
         medians.append(np.median(np.linalg.norm(fits - moved, axis=2).mean(1) / sizes))
     assert medians[0] < 0.06

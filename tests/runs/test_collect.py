@@ -1,4 +1,4 @@
-"""Batches in workers of several kinds, and ``jaxfit collect``: every picture once, whoever is killed."""
+"""Batches in workers of several kinds, and collections: every picture once, whichever process is killed."""
 
 import multiprocessing
 import os
@@ -7,18 +7,20 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from test_commands import rows_of
 
-import jaxfit
-from jaxfit.runs import collection as collecting
-from jaxfit.cli.main import main
+from jaxfit.errors import InputError, JaxfitError, ModelError
+from jaxfit.runs import BatchFitter, FolderRun, collection, fit_collection, fit_folder
+
+Columns = dict[str, np.ndarray]
 
 _MODEL = "fast68"
 _BROKEN = 3  # the number of the picture that is none
@@ -35,21 +37,21 @@ def many(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fitter() -> jaxfit.BatchFitter:
-    return jaxfit.BatchFitter(_MODEL, "whole")
+def fitter() -> BatchFitter:
+    return BatchFitter(_MODEL, "whole")
 
 
 @pytest.fixture(scope="module")
-def batch(many: Path) -> dict[str, np.ndarray]:
+def batch(many: Path) -> Columns:
     return {"image": np.array(sorted(map(str, many.iterdir())), object)}
 
 
 @pytest.fixture(scope="module")
-def rows(fitter: jaxfit.BatchFitter, batch: dict) -> dict[str, np.ndarray]:
+def rows(fitter: BatchFitter, batch: Columns) -> Columns:
     return fitter(batch)
 
 
-def same(some: dict, others: dict) -> bool:
+def same(some: Columns, others: Columns) -> bool:
     """Whether two batches of rows are equal but for rounding: faces computed in other company end in other bits."""
     return list(some) == list(others) and all(
         np.allclose(values, others[name], atol=0.0011, equal_nan=True)
@@ -59,10 +61,10 @@ def same(some: dict, others: dict) -> bool:
     )
 
 
-def test_a_batch_says_what_the_command_says(rows, many: Path, tmp_path: Path) -> None:
+def test_a_batch_says_what_a_folder_run_says(rows: Columns, batch: Columns, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    fit = ["fit", str(many), "--model", _MODEL, "--detector", "whole", "--out", str(tmp_path), "--no-overlays"]
-    assert main([*fit, "--format", "parquet"]) == 0
+    run = FolderRun(tmp_path, _MODEL, detector="whole", formats=("parquet",), overlays=False)
+    report = fit_folder(run, list(batch["image"]))
     table = parquet.read_table(tmp_path / "landmarks.parquet")
     fitted = rows["problem"] == ""
     assert [*table.column_names, "problem"] == list(rows)
@@ -70,19 +72,20 @@ def test_a_batch_says_what_the_command_says(rows, many: Path, tmp_path: Path) ->
         name: np.array(table[name].to_pylist(), rows[name].dtype) for name in table.column_names
     }  # float32 and objects
     assert same({name: rows[name][fitted] for name in expected}, expected)
-    (problem,) = rows_of(tmp_path / "problems.csv")
-    assert [problem["image"], problem["problem"]] == [rows["image"][_BROKEN], rows["problem"][_BROKEN]]
+    assert report.problems == ((rows["image"][_BROKEN], rows["problem"][_BROKEN]),)
     assert list(np.flatnonzero(~fitted)) == [_BROKEN]
 
 
-def test_bytes_are_as_good_as_files(fitter, batch, rows) -> None:
+def test_bytes_are_as_good_as_files(fitter: BatchFitter, batch: Columns, rows: Columns) -> None:
     data = [Path(path).read_bytes() for path in batch["image"]]
     of_bytes = fitter({"path": list(batch["image"]), "bytes": data})
     assert same(of_bytes, rows)
     assert fitter({"image": ["a"], "bytes": [None]})["problem"].tolist() == ["the file is empty"]
 
 
-def test_a_fitter_is_small_and_loads_its_model_in_processes_of_a_pool(fitter, batch, rows) -> None:
+def test_a_fitter_is_small_and_loads_its_model_in_processes_of_a_pool(
+    fitter: BatchFitter, batch: Columns, rows: Columns
+) -> None:
     assert len(pickle.dumps(fitter)) < 500
     parts = [{"image": batch["image"][first : first + 5]} for first in (0, 5)]
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
@@ -90,7 +93,7 @@ def test_a_fitter_is_small_and_loads_its_model_in_processes_of_a_pool(fitter, ba
     assert same({name: np.concatenate([part[name] for part in fitted]) for name in rows}, rows)
 
 
-def test_data_frames_are_batches(fitter, batch, rows) -> None:
+def test_data_frames_are_batches(fitter: BatchFitter, batch: Columns, rows: Columns) -> None:
     """As Spark's mapInPandas has them, and Dask's map_partitions."""
     pandas = pytest.importorskip("pandas")
     frame = pandas.DataFrame(batch)
@@ -102,11 +105,10 @@ def test_data_frames_are_batches(fitter, batch, rows) -> None:
     assert (nothing.dtypes.iloc[3:-1] == np.float32).all()
 
 
-def test_dask_maps_it_over_partitions(fitter, batch, rows) -> None:
-    dask = pytest.importorskip("dask.dataframe")
-    import pandas
+def test_dask_maps_it_over_partitions(fitter: BatchFitter, batch: Columns, rows: Columns) -> None:
+    dask, pandas = pytest.importorskip("dask.dataframe"), pytest.importorskip("pandas")
 
-    def fit(frame: pandas.DataFrame) -> pandas.DataFrame:
+    def fit(frame: Any) -> Any:
         return pandas.DataFrame(fitter(frame))
 
     nothing = fit(pandas.DataFrame({"image": []}))
@@ -116,56 +118,64 @@ def test_dask_maps_it_over_partitions(fitter, batch, rows) -> None:
 
 
 def test_heads_have_columns_of_their_own() -> None:
-    columns = list(jaxfit.BatchFitter("face68-3d", "whole")({"image": []}))
+    columns = list(BatchFitter("face68-3d", "whole")({"image": []}))
     assert columns[-1] == "problem"
     assert {"x1", "head_roll", "head_scale", "head_x1", "head_z68", "head_b1"} <= {*columns}
 
 
-def test_nonsense_is_refused_before_any_work(fitter, tmp_path: Path) -> None:
-    for wrong in ({"detector": "nose"}, {"initialisations": 2}, {"rotations": (90.0, -90.0)}, {"cores": 0}):
-        with pytest.raises(jaxfit.InputError, match="expected"):
-            jaxfit.BatchFitter(**wrong)
-    with pytest.raises(jaxfit.ModelError, match="no model 'face69'"):
-        jaxfit.BatchFitter("face69")
-    with pytest.raises(jaxfit.InputError, match="image or path; got bytes"):
+def test_nonsense_is_refused_before_any_work(fitter: BatchFitter, tmp_path: Path) -> None:
+    settings: tuple[dict[str, Any], ...] = ({"detector": "nose"}, {"cores": 0})
+    for wrong in settings:
+        with pytest.raises(InputError, match="expected"):
+            BatchFitter(**wrong)
+    with pytest.raises(ModelError, match="no model 'face69'"):
+        BatchFitter("face69")
+    with pytest.raises(InputError, match="image or path; got bytes"):
         fitter({"bytes": [b""]})
-    for wrong in ({"part": 0}, {"workers": 0}, {"gpus": -1.0}):
-        with pytest.raises(jaxfit.InputError, match="expected at least"):
-            jaxfit.fit_collection([], tmp_path, fitter, **wrong)
+    numbers: tuple[dict[str, Any], ...] = ({"part": 0}, {"workers": 0}, {"gpus": -1.0})
+    for wrong in numbers:
+        with pytest.raises(InputError, match="expected at least"):
+            fit_collection([], tmp_path, fitter, **wrong)
 
 
 @pytest.fixture
-def in_process(monkeypatch) -> list[list[str]]:
+def in_process(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     """Collections are fitted here, without Ray; gathers the parts that are fitted."""
     pytest.importorskip("pyarrow")
-    begun = []
+    begun: list[list[str]] = []
 
-    def fit_parts(parts, fitter, folder, workers, gpus):
-        work = collecting._PartFitter(fitter, folder)
+    def fit_parts(
+        parts: Sequence[Sequence[str]], fitter: BatchFitter, folder: Path, workers: int | None, gpus: float
+    ) -> Generator[tuple[int, str], None, None]:
+        work = collection._PartFitter(fitter, folder)
         for part in parts:
             begun.append([Path(name).name for name in part])
             done = work({"pictures": list(map(os.fsencode, part))})
             yield done["pictures"], done["error"]
 
-    monkeypatch.setattr(collecting, "_require_ray", lambda: None)
-    monkeypatch.setattr(collecting, "_fit_parts", fit_parts)
+    monkeypatch.setattr(collection, "_require_ray", lambda: None)
+    monkeypatch.setattr(collection, "_fit_parts", fit_parts)
     return begun
 
 
-def manifest(out: Path) -> list[dict]:
+def manifest(out: Path) -> list[dict[str, Any]]:
     parquet = pytest.importorskip("pyarrow.parquet")
-    return parquet.read_table(out / "manifest.parquet").to_pylist()
+    rows: list[dict[str, Any]] = parquet.read_table(out / "manifest.parquet").to_pylist()
+    return rows
 
 
-def test_only_what_is_missing_is_fitted(in_process, fitter, batch, tmp_path: Path) -> None:
-    pictures, told = list(batch["image"]), []
-    jaxfit.fit_collection(pictures[:4], tmp_path, fitter, part=2)
+def test_only_what_is_missing_is_fitted(
+    in_process: list[list[str]], fitter: BatchFitter, batch: Columns, tmp_path: Path
+) -> None:
+    pictures = list(batch["image"])
+    calls: list[tuple[int, int]] = []
+    fit_collection(pictures[:4], tmp_path, fitter, part=2)
     written = {path: path.stat().st_mtime_ns for path in (tmp_path / "parts").iterdir()}
     assert len(written) == 2
     in_process.clear()
-    outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=4, progress=lambda *what: told.append(what[1:]))
+    outcomes = fit_collection(pictures, tmp_path, fitter, part=4, progress=lambda _, *call: calls.append(call))
     assert in_process == [[f"{number:02}.png" for number in some] for some in (range(4, 8), range(8, 10))]
-    assert told == [(4, 10), (8, 10), (10, 10)]
+    assert calls == [(4, 10), (8, 10), (10, 10)]
     assert outcomes == {"fitted": 9, "none": 0, "problem": 1, "missing": 0}
     assert written == {path: path.stat().st_mtime_ns for path in written}
     found = manifest(tmp_path)
@@ -175,59 +185,66 @@ def test_only_what_is_missing_is_fitted(in_process, fitter, batch, tmp_path: Pat
     assert {row["part"] for row in found} == {path.name for path in (tmp_path / "parts").iterdir()}
 
 
-def test_a_part_that_kills_its_workers_is_missing_and_tried_again_later(in_process, fitter, batch, tmp_path) -> None:
+def test_a_part_that_kills_its_workers_is_missing_and_tried_again_later(
+    in_process: list[list[str]], fitter: BatchFitter, batch: Columns, tmp_path: Path
+) -> None:
     pictures = list(batch["image"][:4])
-    jaxfit.fit_collection(pictures[:2], tmp_path, fitter, part=2)
-    work = collecting._PartFitter(fitter, tmp_path / "parts")
+    fit_collection(pictures[:2], tmp_path, fitter, part=2)
+    work = collection._PartFitter(fitter, tmp_path / "parts")
     deadly = {"pictures": list(map(os.fsencode, pictures[2:]))}
 
-    def dies(*_) -> None:
+    def dies(*_: object) -> None:
         raise SystemExit
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collecting, "_write_part", dies)
+        patch.setattr(collection, "_write_part", dies)
         for _ in range(3):
             with pytest.raises(SystemExit):
                 work(deadly)
         assert work(deadly) == {"pictures": 0, "error": ""}
-        patch.setattr(collecting, "_fit_parts", lambda *_: (made for made in [(0, "")]))
-        outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=2)
+        patch.setattr(collection, "_fit_parts", lambda *_: (made for made in [(0, "")]))
+        outcomes = fit_collection(pictures, tmp_path, fitter, part=2)
     assert outcomes == {"fitted": 2, "none": 0, "problem": 0, "missing": 2}
     assert [row["outcome"] for row in manifest(tmp_path)] == ["fitted", "fitted", "missing", "missing"]
-    outcomes = jaxfit.fit_collection(pictures, tmp_path, fitter, part=2)
+    outcomes = fit_collection(pictures, tmp_path, fitter, part=2)
     assert outcomes == {"fitted": 3, "none": 0, "problem": 1, "missing": 0}
 
 
-def test_what_stops_a_worker_stops_the_run(in_process, fitter, batch, tmp_path: Path) -> None:
+def test_what_stops_a_worker_stops_the_run(
+    in_process: list[list[str]], fitter: BatchFitter, batch: Columns, tmp_path: Path
+) -> None:
     damaged = tmp_path / "damaged.safetensors"
     damaged.write_bytes(b"no model")
-    with pytest.raises(jaxfit.JaxfitError, match="damaged"):
-        jaxfit.fit_collection(list(batch["image"]), tmp_path / "out", jaxfit.BatchFitter(damaged, "whole"))
-    with pytest.raises(jaxfit.InputError, match="other settings"):
-        jaxfit.fit_collection(list(batch["image"]), tmp_path / "out", fitter)
+    with pytest.raises(JaxfitError, match="damaged"):
+        fit_collection(list(batch["image"]), tmp_path / "out", BatchFitter(damaged, "whole"))
+    with pytest.raises(InputError, match="other settings"):
+        fit_collection(list(batch["image"]), tmp_path / "out", fitter)
 
 
-def test_ray_has_to_be_there_and_to_keep_to_this_machine(fitter, batch, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(collecting, "find_spec", lambda name: None)
-    with pytest.raises(jaxfit.InputError, match="pip install"):
-        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
-    monkeypatch.setattr(collecting, "find_spec", lambda name: True)
+def test_ray_has_to_be_there_and_to_keep_to_this_machine(
+    fitter: BatchFitter, batch: Columns, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collection, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="pip install"):
+        fit_collection(list(batch["image"]), tmp_path, fitter)
+    monkeypatch.setattr(collection, "find_spec", lambda name: True)
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
     monkeypatch.delenv("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", raising=False)
-    with pytest.raises(jaxfit.InputError, match="imported, but not started"):
-        jaxfit.fit_collection(list(batch["image"]), tmp_path, fitter)
+    with pytest.raises(InputError, match="imported, but not started"):
+        fit_collection(list(batch["image"]), tmp_path, fitter)
     assert not list(tmp_path.iterdir())
 
 
 _IN_A_CLUSTER = """
 import os, sys
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
-import ray, ray.data, jaxfit
+import ray, ray.data
+from jaxfit.runs import BatchFitter, fit_collection
 model, out, *pictures = sys.argv[1:]
 ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
-print(jaxfit.fit_collection(pictures, out, jaxfit.BatchFitter(model, "whole"), workers=1, part=2), flush=True)
+print(fit_collection(pictures, out, BatchFitter(model, "whole"), workers=1, part=2), flush=True)
 rows = ray.data.read_binary_files(sorted(pictures)[:2], include_paths=True).map_batches(
-    jaxfit.BatchFitter,
+    BatchFitter,
     fn_constructor_kwargs={"model": model, "detector": "whole"},
     batch_size=2,
     compute=ray.data.ActorPoolStrategy(size=1),
@@ -236,7 +253,7 @@ print(sorted((os.path.basename(row["image"]), row["problem"]) for row in rows))
 """
 
 
-def _held(run: subprocess.Popen, pipe: Path) -> int:
+def _held(run: "subprocess.Popen[str]", pipe: Path) -> int:
     """Wait until a worker reads from the pipe, and hold it there: it waits for as long as this end is open."""
     while run.poll() is None:
         try:
@@ -248,13 +265,13 @@ def _held(run: subprocess.Popen, pipe: Path) -> int:
 
 @pytest.mark.timeout(600)
 @pytest.mark.skipif(not find_spec("ray"), reason="needs jaxfit[ray]")
-def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Path) -> None:
+def test_with_ray_every_picture_comes_once_whoever_is_killed(batch: Columns, tmp_path: Path) -> None:
     """A picture that is a pipe holds its worker until that, or the whole run, is killed; afterwards it is a file."""
     psutil = pytest.importorskip("psutil")
     out, pipe = tmp_path / "out", tmp_path / "pipe.png"
     os.mkfifo(pipe)
 
-    def map_workers(run: subprocess.Popen) -> list:
+    def map_workers(run: "subprocess.Popen[str]") -> list[Any]:
         family = psutil.Process(run.pid).children(recursive=True)
         return [each for each in family if "MapWorker" in " ".join(each.cmdline())]
 
@@ -263,7 +280,7 @@ def test_with_ray_every_picture_comes_once_whoever_is_killed(batch, tmp_path: Pa
     collect = [sys.executable, "-m", "jaxfit.cli.main", "collect", "--model", _MODEL, "--detector", "whole"]
     collect += ["--out", str(out), "--workers", "1", "--part", "2", *pictures]
 
-    with subprocess.Popen(collect, env=environment) as run:
+    with subprocess.Popen(collect, env=environment, text=True) as run:
         held = _held(run, pipe)
         workers = map_workers(run)
         family = psutil.Process(run.pid).children(recursive=True)

@@ -1,20 +1,21 @@
 """The benchmark on drawn heads: every number is there and can be one, whatever its size."""
 
 import csv
-import importlib
 import json
 import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from drawn_heads import draw_heads
+from script_runner import load, run
 
 import jaxfit
 from jaxfit.cascade.model import Cascade
@@ -25,11 +26,11 @@ from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.image.frame import Frame
+from jaxfit.labels.records import Dataset
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.known import AFLW21
 from jaxfit.shapes.points import PointSpace
 
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 BATCHES = [1, 4]
 STEPS = 2
 FRAME = Frame(crop=64, face=36.0)
@@ -38,9 +39,8 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="pr
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _scripts():
+def _compiled_soon() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(SCRIPTS)
         # Compiling takes most of the time, here and in the processes that are measured.
         patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
         jax.config.update("jax_disable_most_optimizations", True)
@@ -49,25 +49,25 @@ def _scripts():
 
 
 @pytest.fixture(scope="module")
-def script(_scripts) -> ModuleType:
-    return importlib.import_module("benchmark")
+def script() -> Any:
+    return load("benchmark")
 
 
 @pytest.fixture(scope="module")
-def rival(_scripts) -> ModuleType:
+def rival() -> Any:
     """The part that needs dlib, with few trees."""
     pytest.importorskip("dlib", exc_type=ImportError, reason='dlib is not installed: pip install "jaxfit[bench]"')
-    module = importlib.import_module("benchmark_dlib")
+    module = load("benchmark_dlib")
     module.TREES = 20
     return module
 
 
 @pytest.fixture(scope="module")
-def parts(tmp_path_factory) -> dict:
+def parts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Dataset]:
     """Faces to train on, and others to measure with, labelled in files."""
     faces = draw_heads(tmp_path_factory.mktemp("all"), 24)
-    parts = {"train": faces[:16], "test": faces[16:]}
-    for name, of_part in parts.items():
+    parts = {}
+    for name, of_part in {"train": faces[:16], "test": faces[16:]}.items():
         folder = tmp_path_factory.mktemp(name, numbered=False)
         for face in of_part:
             os.link(face.image, folder / face.image.name)
@@ -77,7 +77,7 @@ def parts(tmp_path_factory) -> dict:
 
 
 @pytest.fixture(scope="module")
-def model(parts, tmp_path_factory) -> Path:
+def model(parts: dict[str, Dataset], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two steps that no training has made: they move the mean face about a little."""
     faces = np.stack([face.landmarks for face in parts["train"].faces])
     mean = (faces - faces.mean(1, keepdims=True)).mean(0)
@@ -99,23 +99,27 @@ def model(parts, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def predictor(rival, model, parts, tmp_path_factory) -> Path:
+def predictor(rival: Any, model: Path, parts: dict[str, Dataset], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("dlib") / "heads.dat"
     rival.train_rival(path, jaxfit.load(model), parts["train"].faces, AFLW21)
     return path
 
 
 @pytest.fixture(scope="module")
-def benchmark(script, model, parts, request, tmp_path_factory) -> Path:
+def benchmark(
+    script: Any,
+    model: Path,
+    parts: dict[str, Dataset],
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
     """The folder that a run has written to; with dlib, where it is installed."""
     folder = tmp_path_factory.mktemp("out")
     arguments = ["--data", parts["test"].spec, "--cores", "1", "--repetitions", "1", "--out", str(folder)]
     arguments += ["--batches", *map(str, BATCHES)]
     if script.dlib is not None:
         arguments += ["--dlib-model", str(request.getfixturevalue("predictor"))]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["benchmark.py", str(model), *arguments])
-        assert script.main() == 0
+    assert run("benchmark", str(model), *arguments) == 0
     return folder
 
 
@@ -134,7 +138,7 @@ def is_positive(cell: str) -> bool:
     return math.isfinite(number) and number > 0
 
 
-def test_a_run_measures_speed_memory_and_size(benchmark, model) -> None:
+def test_a_run_measures_speed_memory_and_size(benchmark: Path, model: Path) -> None:
     speeds, by_batch, *_ = tables(benchmark)
     (row,) = [row for row in speeds if row["method"] == "heads"]
     assert (row["processes"], row["cores"]) == ("1", "1")
@@ -159,7 +163,7 @@ def test_a_run_measures_speed_memory_and_size(benchmark, model) -> None:
     assert f"jaxfit {jaxfit.__version__}, jax {jax.__version__}" in text
 
 
-def test_a_run_measures_errors_as_evaluation_does(benchmark, model, parts) -> None:
+def test_a_run_measures_errors_as_evaluation_does(benchmark: Path, model: Path, parts: dict[str, Dataset]) -> None:
     (row,) = [row for row in tables(benchmark)[2] if row["method"] == "heads"]
     faces = parts["test"].faces
     errors = jaxfit.evaluate(jaxfit.load(model), faces, start_boxes(faces)).errors
@@ -167,7 +171,7 @@ def test_a_run_measures_errors_as_evaluation_does(benchmark, model, parts) -> No
     assert float(row["median"]) == pytest.approx(np.median(errors), abs=1e-4)
 
 
-def test_a_run_measures_stages_beside_the_machine(benchmark) -> None:
+def test_a_run_measures_stages_beside_the_machine(benchmark: Path) -> None:
     product, memory, *stages = tables(benchmark)[-1]
     assert is_positive(product["GFLOP/s"])
     assert is_positive(memory["GB/s"])
@@ -178,7 +182,7 @@ def test_a_run_measures_stages_beside_the_machine(benchmark) -> None:
     assert [row["stage"] for row in stages if row["GB/s"] != "-"] == ["maps", "describing", "linear map"]
 
 
-def test_dlib_is_measured_on_the_same_faces(rival, benchmark, predictor, parts) -> None:
+def test_dlib_is_measured_on_the_same_faces(benchmark: Path, predictor: Path, parts: dict[str, Dataset]) -> None:
     speeds, _, errors, against = tables(benchmark)[:4]
     (row,) = [row for row in speeds if row["method"] == "dlib"]
     numbers = ("faces/s", "from files/s", "latency ms", "first s", "peak MiB", "model MB")
@@ -191,7 +195,9 @@ def test_dlib_is_measured_on_the_same_faces(rival, benchmark, predictor, parts) 
     assert 0 < float(row["signed-rank p"]) <= 1
 
 
-def test_dlib_in_two_processes_has_a_core_for_each(script, rival, benchmark, predictor, model, parts, tmp_path) -> None:
+def test_dlib_in_two_processes_has_a_core_for_each(
+    script: Any, predictor: Path, model: Path, parts: dict[str, Dataset], tmp_path: Path
+) -> None:
     if len(os.sched_getaffinity(0)) < 2:
         pytest.skip("needs two cores")
     faces = parts["test"].faces
@@ -202,7 +208,7 @@ def test_dlib_in_two_processes_has_a_core_for_each(script, rival, benchmark, pre
     assert all(row[name] > 0 for name in ("faces/s", "latency ms", "peak MiB"))
 
 
-def test_dlib_learns_where_landmarks_are(rival, predictor, model, parts) -> None:
+def test_dlib_learns_where_landmarks_are(rival: Any, predictor: Path, model: Path, parts: dict[str, Dataset]) -> None:
     found = rival.load_rival(predictor, AFLW21)
     faces = parts["train"].faces
     # Boxes that it was not trained with.
@@ -215,7 +221,7 @@ def test_dlib_learns_where_landmarks_are(rival, predictor, model, parts) -> None
         rival.load_rival(predictor, jaxfit.load("sdm68").scheme)
 
 
-def test_boxes_in_crops_are_those_of_the_pictures(script, model, parts) -> None:
+def test_boxes_in_crops_are_those_of_the_pictures(script: Any, model: Path, parts: dict[str, Dataset]) -> None:
     faces = parts["test"].faces
     boxes = start_boxes(faces)
     crops, numbers = script.cut_crops(jaxfit.load(model), script.FINE, faces, boxes)
@@ -225,26 +231,30 @@ def test_boxes_in_crops_are_those_of_the_pictures(script, model, parts) -> None:
     assert (np.abs(corners - true) <= 0.51 * crops.scale[:, None, None]).all()
 
 
-def test_processes_are_kept_to_their_cores(script) -> None:
+def test_processes_are_kept_to_their_cores(script: Any) -> None:
     before = os.sched_getaffinity(0)
     last = max(before)
     with script.kept_to([last]):
-        told = subprocess.run(
+        listed = subprocess.run(
             [sys.executable, "-c", "import os; print(list(os.sched_getaffinity(0)))"],
             stdout=subprocess.PIPE,
             check=True,
         )
-    assert json.loads(told.stdout) == [last]
+    assert json.loads(listed.stdout) == [last]
     assert os.sched_getaffinity(0) == before
 
 
-def test_without_dlib_the_table_says_so(script, monkeypatch, capsys) -> None:
+def test_without_dlib_the_table_says_so(
+    script: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(script, "dlib", None)
     arguments = script.argparse.Namespace(dlib_model="heads.dat")
     found, missing = script.rival(arguments, None, AFLW21, [])
     assert found is None
     assert 'pip install "jaxfit[bench]"' in capsys.readouterr().err
-    table = script.speed_tables([], missing, jaxfit.load("sdm68"))[1]
+    report = load("report").Report()
+    script.add_speeds(report, [], missing, jaxfit.load("sdm68"))
+    table = report.parts[1]
     assert table.splitlines()[-1].startswith("| dlib: not installed | - |")
 
 
@@ -256,9 +266,9 @@ def test_without_dlib_the_table_says_so(script, monkeypatch, capsys) -> None:
         (["--dlib-train", "pts:faces"], "expected --dlib-model, too"),
     ],
 )
-def test_what_cannot_be_measured_is_said_before_the_work(script, monkeypatch, capsys, tmp_path, more, words) -> None:
-    command = ["benchmark.py", "sdm68", "--data", f"pts:{tmp_path}", "--out", str(tmp_path / "out"), *more]
-    monkeypatch.setattr(sys, "argv", command)
-    assert script.main() == 2
+def test_what_cannot_be_measured_is_said_before_the_work(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, more: list[str], words: str
+) -> None:
+    assert run("benchmark", "sdm68", "--data", f"pts:{tmp_path}", "--out", str(tmp_path / "out"), *more) == 2
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -1,13 +1,10 @@
 """Scripts that make the documents' folders and the bundled models."""
 
-import runpy
-import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+from script_runner import SCRIPTS, run
 
 import jaxfit
 from jaxfit.cli.main import main as jaxfit_main
@@ -15,13 +12,6 @@ from jaxfit.cli.main import parser
 from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.models.files import bundled
-
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-
-
-def script(name: str) -> Any:
-    """A script's names, loaded as if it was run."""
-    return SimpleNamespace(**runpy.run_path(str(SCRIPTS / f"{name}.py")))
 
 
 def labelled_people(folder: Path) -> Path:
@@ -35,11 +25,9 @@ def labelled_people(folder: Path) -> Path:
     return folder
 
 
-def test_splits_never_split_a_person(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_splits_never_split_a_person(tmp_path: Path) -> None:
     faces = labelled_people(tmp_path / "faces")
-    command = ["split.py", "--data", f"pts:{faces}", "--folds", "4", "--out", str(tmp_path)]
-    monkeypatch.setattr(sys, "argv", command)
-    assert script("split").main() == 0
+    assert run("split", "--data", f"pts:{faces}", "--folds", "4", "--out", str(tmp_path)) == 0
     train, test = (jaxfit.read_dataset(f"pts:{tmp_path / part / 'faces'}").faces for part in ("train", "test"))
     assert (len(train), len(test)) == (18, 6)
     assert not {face.subject for face in train} & {face.subject for face in test}
@@ -47,17 +35,14 @@ def test_splits_never_split_a_person(tmp_path: Path, monkeypatch: pytest.MonkeyP
     np.testing.assert_array_equal(test[0].landmarks, of_all[test[0].face])
 
 
-def test_splits_touch_no_files_that_are_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_splits_touch_no_files_that_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of another split, which would put people into both parts, or the dataset's own."""
     faces = labelled_people(tmp_path / "faces")
     for data, fold in ((faces, "0"), (faces, "1"), (tmp_path / "train" / "faces", "0")):
         files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
-        command = ["split.py", "--data", f"pts:{data}", "--fold", fold, "--folds", "4", "--out", str(tmp_path)]
-        monkeypatch.setattr(sys, "argv", command)
         first = not (tmp_path / "train").exists()
-        assert script("split").main() == (0 if first else 2)
+        command = ["--data", f"pts:{data}", "--fold", fold, "--folds", "4", "--out", str(tmp_path)]
+        assert run("split", *command) == (0 if first else 2)
         if not first:
             assert "delete them" in capsys.readouterr().err
             assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == files
@@ -65,26 +50,22 @@ def test_splits_touch_no_files_that_are_there(
 
 @pytest.mark.parametrize("wrong", [["--fold", "5"], ["--folds", "9"], ["--data", "lfpw:somewhere"]])
 def test_splits_refuse_what_they_cannot_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], wrong: list[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], wrong: list[str]
 ) -> None:
     faces = labelled_people(tmp_path / "faces")
-    monkeypatch.setattr(sys, "argv", ["split.py", "--data", f"pts:{faces}", *wrong, "--out", str(tmp_path / "out")])
-    assert script("split").main() == 2
+    assert run("split", "--data", f"pts:{faces}", *wrong, "--out", str(tmp_path / "out")) == 2
     assert "jaxfit: error: " in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *options: str) -> list[list[str]]:
+def dry_run(capsys: pytest.CaptureFixture[str], *options: str) -> list[list[str]]:
     """The commands that building would run, in words."""
-    monkeypatch.setattr(sys, "argv", ["build_models.py", "--data", "D", "--out", "O", "--dry-run", *options])
-    assert script("build_models").main() == 0
+    assert run("build_models", "--data", "D", "--out", "O", "--dry-run", *options) == 0
     return [line.removeprefix("$ ").split() for line in capsys.readouterr().out.splitlines()]
 
 
-def test_every_bundled_model_is_built_by_commands_that_exist(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    commands = said(monkeypatch, capsys)
+def test_every_bundled_model_is_built_by_commands_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    commands = dry_run(capsys)
     written = [words[words.index("--out") + 1] for words in commands]
     assert {f"O/{name}.safetensors" for name in bundled()} <= set(written)
     assert len(set(written)) == len(written)
@@ -95,10 +76,8 @@ def test_every_bundled_model_is_built_by_commands_that_exist(
             assert (SCRIPTS.parent / program).is_file()
 
 
-def test_people_kept_aside_are_measured_and_not_learned_from(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    *built, kept_aside, turned = said(monkeypatch, capsys, "sdm68", "--split", "S")
+def test_people_kept_aside_are_measured_and_not_learned_from(capsys: pytest.CaptureFixture[str]) -> None:
+    *built, kept_aside, turned = dry_run(capsys, "sdm68", "--split", "S")
     assert [word for words in built for word in words if word.startswith("pts:")] == [
         f"pts:S/train/{name}" for name in ("lfpw68", "helen68", "ytf68")
     ]
@@ -106,17 +85,12 @@ def test_people_kept_aside_are_measured_and_not_learned_from(
     assert "aflw2000:D/aflw2000" in turned
 
 
-def test_unknown_models_are_not_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["build_models.py", "face99", "--data", "D", "--out", str(tmp_path / "O")])
-    assert script("build_models").main() == 2
+def test_unknown_models_are_not_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("build_models", "face99", "--data", "D", "--out", str(tmp_path / "O")) == 2
     assert "got face99" in capsys.readouterr().err
     assert not (tmp_path / "O").exists()
 
 
-def test_what_fails_stops_the_building(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["build_models.py", "sdm68", "--data", str(tmp_path), "--out", str(tmp_path)])
-    assert script("build_models").main() == jaxfit_main(
-        ["train", "--data", f"pts:{tmp_path}", "--out", "x.safetensors"]
-    )
+def test_what_fails_stops_the_building(tmp_path: Path) -> None:
+    failed = jaxfit_main(["train", "--data", f"pts:{tmp_path}", "--out", "x.safetensors"])
+    assert run("build_models", "sdm68", "--data", str(tmp_path), "--out", str(tmp_path)) == failed == 2

@@ -1,33 +1,22 @@
 """Scripts that compare models and ways to use them, run on drawn heads."""
 
-import runpy
-import sys
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from drawn_heads import OPTIONS
+from script_runner import load, run
 
 import jaxfit
-from jaxfit.data.boxes import bounding_square
+from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.evaluation.errors import nmed
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import AFLW21
-
-SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A script's names, loaded as if it was run."""
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    return lambda name: SimpleNamespace(**runpy.run_path(str(SCRIPTS / f"{name}.py")))
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +27,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, heads: tuple[FaceRecord, ..
     for face in heads[:12]:
         write_image(folder / "heads" / face.image.name, read_image(face.image))
         write_pts(folder / "heads" / f"{face.image.stem}.pts", face.landmarks)
-    for name, ridge in (("good", OPTIONS.ridge), ("poor", 1000.0)):
-        model = jaxfit.train(heads, AFLW21, options=replace(OPTIONS, ridge=ridge)).model
+    for name, ridge in (("good", OPTIONS.greedy.ridge), ("poor", 1000.0)):
+        model = jaxfit.train(heads, AFLW21, options=OPTIONS.but(ridge=ridge)).model
         jaxfit.save(model, folder / f"{name}.safetensors")
     return folder
 
@@ -49,24 +38,24 @@ def rows_of(table: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("| ").split("|")] for line in lines[2:]]
 
 
-def test_models_are_compared_by_their_errors(folder: Path, script: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models_are_compared_by_their_errors(folder: Path) -> None:
     page = folder / "page.md"
     page.write_text("Before.\n\n<!-- figures -->\nold\n<!-- end of figures -->\n\nAfter.\n")
     models = [str(folder / f"{name}.safetensors") for name in ("poor", "good")]
-    command = ["compare_models.py", *models, "--data", f"pts:{folder / 'heads'}", "--report", str(page)]
-    monkeypatch.setattr(sys, "argv", command)
-    assert script("compare_models").main() == 0
+    arguments = [*models, "--data", f"pts:{folder / 'heads'}", "--report", str(page)]
+    assert run("compare_models", *arguments) == 0
     text = page.read_text()
     assert text.startswith("Before.\n")
     assert text.endswith("After.\n")
     assert "old" not in text
-    assert f"python {' '.join(command)}" in text
+    assert f"```\npython scripts/compare_models.py {' '.join(arguments)}\n```" in text
+    assert f"jaxfit {jaxfit.__version__}, jax {jax.__version__}, numpy" in text
     poor, good = rows_of(text)
     assert (poor[0], good[0], poor[-1]) == ("poor", "good", "-")
     assert float(good[1]) < 0.7 * float(poor[1])
     assert float(good[2]) > float(poor[2])
     assert float(good[-1]) < 0.01
-    measured = jaxfit.fit(jaxfit.load(models[1]), *boxes_as_given(script, folder)).landmarks
+    measured = jaxfit.fit(jaxfit.load(models[1]), *boxes_as_given(folder)).landmarks
     truth = np.stack([face.landmarks for face in heads_of(folder)])
     assert float(good[1]) == pytest.approx(np.median(nmed(measured, truth, AFLW21)), abs=6e-5)
 
@@ -75,42 +64,38 @@ def heads_of(folder: Path) -> tuple[FaceRecord, ...]:
     return jaxfit.read_dataset(f"pts:{folder / 'heads'}").faces
 
 
-def boxes_as_given(script: Any, folder: Path) -> tuple[list[Path], np.ndarray]:
+def boxes_as_given(folder: Path) -> tuple[list[Path], np.ndarray]:
     """Pictures and boxes of a comparison, as its page says that they are."""
     rng = np.random.default_rng(0)
     faces = heads_of(folder)
-    jitter = script("compare_models").jitter
     return [face.image for face in faces], np.stack([jitter(bounding_square(face.landmarks), rng) for face in faces])
 
 
-def test_models_of_one_name_cannot_be_compared(folder: Path, script: Any, capsys: Any, monkeypatch: Any) -> None:
+def test_models_of_one_name_cannot_be_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = str(folder / "good.safetensors")
-    monkeypatch.setattr(sys, "argv", ["compare_models.py", model, model, "--data", f"pts:{folder / 'heads'}"])
-    assert script("compare_models").main() == 2
+    assert run("compare_models", model, model, "--data", f"pts:{folder / 'heads'}") == 2
     assert "expected models of different names" in capsys.readouterr().err
 
 
-def test_fusion_needs_a_confidence(folder: Path, script: Any, capsys: Any, monkeypatch: Any) -> None:
-    command = ["fusion.py", str(folder / "good.safetensors"), "--data", f"pts:{folder / 'heads'}"]
-    monkeypatch.setattr(sys, "argv", command)
-    assert script("fusion").main() == 2
+def test_fusion_needs_a_confidence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("fusion", str(folder / "good.safetensors"), "--data", f"pts:{folder / 'heads'}") == 2
     assert "expected a model with a confidence" in capsys.readouterr().err
 
 
-def test_faces_with_missing_points_teach_and_are_tested(heads: tuple[FaceRecord, ...], script: Any) -> None:
+def test_faces_with_missing_points_teach_and_are_tested(
+    heads: tuple[FaceRecord, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     hidden = [
-        replace(face, landmarks=np.where(np.arange(21)[:, None] == number % 21, np.nan, face.landmarks), present=seen)
-        if number % 2
-        else face
+        replace(face, landmarks=np.where(known[:, None], face.landmarks, np.nan), present=known) if number % 2 else face
         for number, face in enumerate(heads)
-        if (seen := np.arange(21) != number % 21).any()
+        if (known := np.arange(21) != number % 21).any()
     ]
-    module = script("missing_points")
-    monkey = {"training_options": lambda arguments, scheme, method: OPTIONS}
-    module.trained.__globals__.update(monkey)
-    models = module.trained(hidden, AFLW21, Namespace(epochs=2, seed=0, head=OPTIONS.head))
+    script, report = load("missing_points"), load("report").Report()
+    monkeypatch.setattr(script, "training_options", lambda arguments, scheme, method: OPTIONS)
+    models = script.trained(hidden, AFLW21, Namespace(epochs=2, seed=0, head_model=OPTIONS.head_model))
     assert [name.rpartition(" (")[2] for name in models] == ["16)", "16)", "32)", "32)", "32)"]
-    complete, by_yaw = module.tested_on(models, hidden, AFLW21)
+    script.add_tests(report, models, hidden, AFLW21)
+    above, complete, _, by_yaw = report.parts
     assert [row[0] for row in rows_of(complete)] == list(models) == [row[0] for row in rows_of(by_yaw)]
-    assert "Complete faces (16)" in complete
+    assert "Complete faces (16)" in above
     assert all(0 < float(row[1]) < 0.1 for row in rows_of(complete))

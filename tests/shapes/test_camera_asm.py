@@ -1,7 +1,5 @@
 """The 3D methods' shape space: exact faces come back, heads turn as pictures do, and poses have their signs."""
 
-from functools import partial
-
 import jax
 import numpy as np
 import pytest
@@ -85,7 +83,7 @@ def test_refined_parameters_fit_better():
     points = (seen + errors).astype(np.float32)
     # Compiled without optimisation, which would take longer than all else here.
     fast = {"xla_backend_optimization_level": 0}
-    refine = jax.jit(jax.vmap(partial(SPACE.encode, refine=True)), compiler_options=fast)
+    refine = jax.jit(jax.vmap(SPACE.refined), compiler_options=fast)
     plain, refined = encode(points), refine(points)
     squares, priors = [], []
     for found in (plain, refined):

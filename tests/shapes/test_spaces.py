@@ -11,7 +11,7 @@ from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
 from jaxfit.shapes.similarity import learn_similarity_asm
-from jaxfit.shapes.space import ShapeSpace, Start
+from jaxfit.shapes.space import ShapeSpace, ShapeSpace3D, Start
 
 FACES = np.random.default_rng(0).normal(0, 30, (7, 2)) + np.random.default_rng(1).normal(0, 3, (40, 7, 2))
 FACES = (FACES - FACES.mean(1, keepdims=True)).astype(np.float32)
@@ -66,7 +66,18 @@ def test_no_space_is_left_out():
 @every_space
 def test_has_the_interface(space):
     assert isinstance(space, ShapeSpace)
+    assert isinstance(space, ShapeSpace3D) == (space.dimensions == 3)
     assert params(space, 0).shape == (space.size,)
+
+
+@every_space
+def test_landmarks_in_3d_lie_where_those_of_the_picture_do(space):
+    if not isinstance(space, ShapeSpace3D):
+        pytest.skip("not in 3D")
+    face = params(space, 2)
+    np.testing.assert_allclose(space.landmarks_3d(face)[:, :2], seen(space, face)[0], atol=1e-4)
+    assert space.b(face).shape == (space.modes,) == space.model.deviations.shape
+    assert space.pose(face).shape == (3,)
 
 
 @every_space

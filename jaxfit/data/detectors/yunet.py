@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from jaxfit.data.detectors.detector import Detection, Search, largest_first, merged
 from jaxfit.data.boxes import box_centre
+from jaxfit.data.detectors.detector import Detection, Search, largest_first, merged
 from jaxfit.errors import InputError
 
 KIND = "yunet"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from jaxfit.data.outputs import write_csv
-from jaxfit.data.rows import Rows, table_values
+from jaxfit.data.rows import Rows, table_text, table_values
 
 
 def write_tables(folder: Path, rows: Rows) -> list[str]:
@@ -11,11 +11,7 @@ def write_tables(folder: Path, rows: Rows) -> list[str]:
     names = []
     for name, columns in rows.tables().items():
         names.append(f"{name}.csv")
-        write_csv(folder / names[-1], columns, ([_text(value) for value in table_values(name, row)] for row in rows))
+        write_csv(
+            folder / names[-1], columns, ([table_text(value) for value in table_values(name, row)] for row in rows)
+        )
     return names
-
-
-def _text(value: str | float | bool) -> str:
-    if isinstance(value, bool):
-        return str(int(value))
-    return value if isinstance(value, str) else f"{value:.3f}"

@@ -1,19 +1,20 @@
 """``jaxfit track``: what it writes, what it prints, and what it leaves when it is stopped."""
 
-import csv
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from drawing import draw_face
+from csv_files import read_csv
+from drawn_faces import draw_face
 
 import jaxfit
 from jaxfit.cli import track
 from jaxfit.cli.main import main
 from jaxfit.data.detectors import DETECTORS, Detection
 from jaxfit.data.videos import Video, write_video
-from jaxfit.models.model import SQUARE
+from jaxfit.fitting.track import TrackedFrame
+from jaxfit.models.model import SQUARE, Model
 
 
 class Middle:
@@ -21,6 +22,7 @@ class Middle:
 
     kinds = (SQUARE,)
     rough = False
+    colour = False
 
     def __call__(self, image: np.ndarray) -> list[Detection]:
         return [Detection(np.array([40.0, 43.0, 40.0, 40.0]), SQUARE)]
@@ -42,23 +44,21 @@ def film(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def rows_of(path: Path) -> list[dict[str, str]]:
-    with open(path, encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def test_faces_and_overlay_are_written(film: Path, model: Path, tmp_path: Path, capsys) -> None:
-    whole = ["--model", str(model), "--detector", "drawn"]
+def test_faces_and_overlay_are_written(
+    film: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = ["--model", str(drawn_model), "--detector", "drawn"]
     assert main(["track", str(film), *whole, "--overlay", "--out", str(tmp_path / "out")]) == 0
-    rows = rows_of(tmp_path / "out" / "faces.csv")
+    rows = read_csv(tmp_path / "out" / "faces.csv")
     assert [int(row["frame"]) for row in rows] == list(range(10))
     np.testing.assert_allclose([float(row["seconds"]) for row in rows], np.arange(10) / 25, atol=1e-3)
     assert {row["id"] for row in rows} == {"1"}
     with Video(film) as video:
-        faces = [frame.faces[0] for frame in jaxfit.track(jaxfit.load(str(model)), video, detector="drawn")]
+        faces = [frame.faces[0] for frame in jaxfit.track(jaxfit.load(str(drawn_model)), video, detector="drawn")]
     xs = np.array([[float(row[f"x{i}"]) for i in range(1, 6)] for row in rows])
-    np.testing.assert_allclose(xs, [face.landmarks[:, 0] for face in faces], atol=1e-3)
-    np.testing.assert_allclose([float(row["width"]) for row in rows], [face.box[2] for face in faces], atol=1e-3)
+    np.testing.assert_allclose(xs, [face.landmarks[0, :, 0] for face in faces], atol=1e-3)
+    widths = np.array([float(row["width"]) for row in rows])
+    np.testing.assert_allclose(widths, [face.boxes[0, 2] for face in faces], atol=1e-3)
     with Video(tmp_path / "out" / "overlay.mp4") as overlay:
         pictures = [frame.picture for frame in overlay]
     assert len(pictures) == 10
@@ -67,18 +67,18 @@ def test_faces_and_overlay_are_written(film: Path, model: Path, tmp_path: Path, 
     assert "frames: 10, people: 1, faces: 10, faces/s: " in capsys.readouterr().out
 
 
-def test_smooth_smooths(film: Path, model: Path, tmp_path: Path) -> None:
+def test_smooth_smooths(film: Path, drawn_model: Path, tmp_path: Path) -> None:
     shaken = []
     for name, more in (("plain", []), ("smooth", ["--smooth"])):
-        arguments = ["--model", str(model), "--detector", "drawn", "--out", str(tmp_path / name), *more]
+        arguments = ["--model", str(drawn_model), "--detector", "drawn", "--out", str(tmp_path / name), *more]
         assert main(["track", str(film), *arguments]) == 0
-        xs = np.array([float(row["x1"]) for row in rows_of(tmp_path / name / "faces.csv")])
+        xs = np.array([float(row["x1"]) for row in read_csv(tmp_path / name / "faces.csv")])
         shaken.append(np.abs(np.diff(xs, 2)).mean())
         assert not (tmp_path / name / "overlay.mp4").exists()
     assert shaken[1] < 0.9 * shaken[0]
 
 
-def test_heads_have_their_pose(film: Path, head_models: dict, tmp_path: Path) -> None:
+def test_heads_have_their_pose(film: Path, head_models: dict[str, Model], tmp_path: Path) -> None:
     jaxfit.save(head_models["regression3d"], tmp_path / "head.safetensors")
     arguments = ["--model", str(tmp_path / "head.safetensors"), "--detector", "drawn", "--overlay"]
     assert main(["track", str(film), *arguments, "--out", str(tmp_path / "out")]) in (0, 1)
@@ -86,23 +86,27 @@ def test_heads_have_their_pose(film: Path, head_models: dict, tmp_path: Path) ->
         assert file.readline().rstrip().endswith(",roll,pitch,yaw,scale")
 
 
-def test_a_stopped_run_leaves_nothing_half_written(film: Path, model: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_stopped_run_leaves_nothing_half_written(
+    film: Path, drawn_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn = track._drawn
-    frames = []
+    frames: list[TrackedFrame] = []
 
-    def stop(frame: jaxfit.TrackedFrame, of: jaxfit.Model) -> np.ndarray:
+    def stop(frame: TrackedFrame) -> np.ndarray:
         frames.append(frame)
         if len(frames) == 4:
             raise KeyboardInterrupt
-        return drawn(frame, of)
+        return drawn(frame)
 
     monkeypatch.setattr(track, "_drawn", stop)
-    arguments = ["--model", str(model), "--detector", "drawn", "--overlay", "--out", str(tmp_path)]
+    arguments = ["--model", str(drawn_model), "--detector", "drawn", "--overlay", "--out", str(tmp_path)]
     assert main(["track", str(film), *arguments]) == 130
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_camera_is_stopped_by_the_keyboard_and_keeps_what_it_saw(model: Path, tmp_path: Path, monkeypatch) -> None:
+def test_a_camera_is_stopped_by_the_keyboard_and_keeps_what_it_saw(
+    drawn_model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     picture, _ = draw_face(np.random.default_rng(3))
 
     class Camera:
@@ -128,22 +132,20 @@ def test_a_camera_is_stopped_by_the_keyboard_and_keeps_what_it_saw(model: Path, 
             pass
 
     monkeypatch.setattr(cv2, "VideoCapture", Camera)
-    assert main(["track", "0", "--model", str(model), "--detector", "drawn", "--out", str(tmp_path)]) == 0
-    assert len(rows_of(tmp_path / "faces.csv")) == 6
+    assert main(["track", "0", "--model", str(drawn_model), "--detector", "drawn", "--out", str(tmp_path)]) == 0
+    assert len(read_csv(tmp_path / "faces.csv")) == 6
 
 
-def test_bad_input(model: Path, tmp_path: Path, capsys) -> None:
+def test_bad_input(drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "text.mp4").write_text("no video")
-    for video, more, expected in (
-        (str(tmp_path / "missing.mp4"), [], "there is no file"),
-        (str(tmp_path / "text.mp4"), [], "not a video that OpenCV reads"),
-    ):
-        assert main(["track", video, "--model", str(model), *more, "--out", str(tmp_path / "out")]) == 2
+    for name, expected in (("missing.mp4", "there is no file"), ("text.mp4", "not a video that OpenCV reads")):
+        video = str(tmp_path / name)
+        assert main(["track", video, "--model", str(drawn_model), "--out", str(tmp_path / "out")]) == 2
         assert expected in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_video_without_faces_and_one_that_was_cut_short(model: Path, tmp_path: Path, capsys) -> None:
+def test_a_video_without_faces_and_one_that_was_cut_short(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     writer = cv2.VideoWriter(str(tmp_path / "whole.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (160, 120))
     for _ in range(12):
         writer.write(np.random.default_rng(0).integers(0, 40, (120, 160, 3), np.uint8))
@@ -151,5 +153,5 @@ def test_a_video_without_faces_and_one_that_was_cut_short(model: Path, tmp_path:
     data = (tmp_path / "whole.avi").read_bytes()
     (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
     assert main(["track", str(tmp_path / "cut.avi"), "--model", "fast68", "--out", str(tmp_path / "out")]) == 1
-    assert rows_of(tmp_path / "out" / "faces.csv") == []
+    assert read_csv(tmp_path / "out" / "faces.csv") == []
     assert "damaged or cut short" in capsys.readouterr().err

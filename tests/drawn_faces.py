@@ -4,10 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.cascade.greedy import Greedy
 from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
+from jaxfit.image.frame import Frame
+from jaxfit.learning.methods import Options
 
-TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]
+OPTIONS = Options(Greedy((0.6, 0.4), 6), mirror=False, frame=Frame(64, 36.0))
+TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]  # the same
 POINTS = np.array([[-20.0, -15.0], [20.0, -15.0], [0.0, 5.0], [-14.0, 22.0], [14.0, 22.0]])
 
 

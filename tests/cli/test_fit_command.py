@@ -1,0 +1,131 @@
+"""``jaxfit fit``: how its options are understood, and what it prints. What it writes is tested in ``tests/runs``."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from csv_files import labelled_box, read_csv, write_boxes
+
+from jaxfit.cascade.starts import Starts
+from jaxfit.cli.main import main
+from jaxfit.runs import FolderReport, FolderRun
+from jaxfit.runs.folder import Unfit
+
+
+def test_one_run_from_the_options_to_the_results(
+    drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyarrow")
+    pictures = tmp_path / "pictures"
+    (pictures / "within").mkdir(parents=True)
+    good = (drawn / "face000.png").read_bytes()
+    for name, data in (("a.png", good), ("b.png", b"no picture"), ("within/c.png", good), ("d.png", good)):
+        (pictures / name).write_bytes(data)
+    square = labelled_box(drawn / "face000.png")
+    boxes = write_boxes(tmp_path / "boxes.csv", dict.fromkeys(("a.png", "b.png", "c.png", "elsewhere.png"), square))
+    out = tmp_path / "out"
+    fit = ["fit", str(pictures), "--recursive", "--model", str(drawn_model), "--boxes", str(boxes), "--out", str(out)]
+    assert main([*fit, "--format", "csv", "parquet", "--contact-sheet", "--starts", "3"]) == 0
+    assert [Path(row["image"]).name for row in read_csv(out / "landmarks.csv")] == ["a.png", "c.png"]
+    names = ["landmarks.csv", "landmarks.parquet", "contact-sheet.jpg", "problems.csv", "overlays"]
+    assert {path.name for path in out.iterdir()} == {*names}
+    printed = capsys.readouterr()
+    assert f"pictures: 4, faces fitted: 2, model: {drawn_model}\n" in printed.out
+    assert f"written: {', '.join(str(out / name) for name in names)}\n" in printed.out
+    assert "going on" not in printed.out
+    problems = printed.err[printed.err.index("4 problems:") :].splitlines()
+    assert "was trained for a single start" in problems[1]
+    assert f"{pictures / 'b.png'}: not a picture" in problems[2]
+    assert f"{pictures / 'd.png'}: no row with this file name in the boxes" in problems[3]
+    assert f"{boxes}: rows for pictures that were not given: 1, such as elsewhere.png" in problems[4]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FolderRun, list[Path]]]:
+    """Nothing is fitted; what would be is gathered."""
+    calls: list[tuple[FolderRun, list[Path]]] = []
+
+    def fit_folder(run: FolderRun, pictures: Sequence[Path], progress: Callable[[str, int, int], None]) -> FolderReport:
+        calls.append((run, list(pictures)))
+        why = (Unfit("a.png", "the file is empty"),)
+        return FolderReport(12, 8, 0, why, (), (Path("out") / "problems.csv",))
+
+    monkeypatch.setattr("jaxfit.cli.fit.fit_folder", fit_folder)
+    return calls
+
+
+def test_options_make_a_run(asked: list[tuple[FolderRun, list[Path]]], drawn: Path) -> None:
+    fit = ["fit", str(drawn), "--model", "fast68", "--out", "out"]
+    main(fit)
+    main([*fit, "--detector", "whole", "--no-overlays", "--contact-sheet", "--overwrite", "--format", "coco", "csv"])
+    main([*fit, "--boxes", "b.csv", "--box-kind", "dlib", "--refine", "--starts", "5", "--rotations", "-30", "40"])
+    usual = FolderRun("out", "fast68")
+    assert [run for run, _ in asked] == [
+        usual,
+        FolderRun(
+            "out", "fast68", "whole", formats=("coco", "csv"), overlays=False, contact_sheet=True, overwrite=True
+        ),
+        replace(usual, boxes="b.csv", box_kind="dlib", starts=Starts(5, -30.0, 40.0), refine=True),
+    ]
+
+
+def test_what_is_printed_of_a_run_that_goes_on_and_finds_no_face(
+    asked: list[tuple[FolderRun, list[Path]]], drawn: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", str(drawn), "--model", "fast68", "--out", "out"]) == 1
+    printed = capsys.readouterr()
+    assert printed.out.splitlines() == [
+        "going on: 8 of 12 pictures were fitted before",
+        "pictures: 12, faces fitted: 0, model: fast68",
+        f"written: {Path('out') / 'problems.csv'}",
+    ]
+    assert printed.err.splitlines() == ["1 problem:", "  a.png: the file is empty"]
+
+
+def test_folders_within_folders_patterns_and_videos(
+    asked: list[tuple[FolderRun, list[Path]]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in (*(f"many/{number:02}.png" for number in range(12)), "many/within/12.png", "many/.hidden/14.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).touch()
+    (tmp_path / "many" / "13.jpg").mkdir()
+    (tmp_path / "many" / "lost.png").symlink_to(tmp_path / "nowhere.png")
+    monkeypatch.chdir(tmp_path)
+    rest = ["--model", "fast68", "--out", "out"]
+    counts = {
+        ("many",): 13,
+        ("many", "--recursive"): 14,
+        ("many/0*.png",): 10,
+        ("many/**/1*.png",): 3,
+        ("many/within", "many/00.png", "many/00.png"): 2,
+    }
+    for pictures, count in counts.items():
+        assert main(["fit", *pictures, *rest]) == 1
+        assert len(asked[-1][1]) == count, pictures
+    (tmp_path / "many" / "film.MP4").write_bytes(b"")
+    assert main(["fit", "many/film.MP4", *rest]) == 2
+    assert "jaxfit track" in capsys.readouterr().err
+    assert main(["fit", "many/*.tif", *rest]) == 2
+    assert "no such file or folder" in capsys.readouterr().err
+    assert len(asked) == len(counts)
+
+
+def test_wrong_settings_are_refused_before_anything_is_written(
+    drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    for words, wrong in {
+        "one start or at least three": ["--starts", "2"],
+        "the lowest first": ["--rotations", "10", "-10"],
+        "only models of the method alignment3d": ["--refine", "--detector", "whole"],
+        "give that file too": ["--box-kind", "whole"],
+    }.items():
+        assert main(["fit", str(drawn), "--model", str(drawn_model), "--out", str(out), *wrong]) == 2
+        printed = capsys.readouterr()
+        assert words in printed.err
+        assert printed.out == ""
+    assert not out.exists()

@@ -1,0 +1,353 @@
+"""Fitting a folder: every picture accounted for in every format; stopped and killed runs go on."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from csv_files import labelled_box, read_csv, write_boxes
+
+import jaxfit
+from jaxfit.cascade.starts import Starts
+from jaxfit.data.boxes import bounding_square
+from jaxfit.data.overlays import draw_head, draw_landmarks
+from jaxfit.data.pictures import find_images, read_image, write_image
+from jaxfit.data.pts import read_pts
+from jaxfit.data.writers import WRITERS
+from jaxfit.errors import InputError
+from jaxfit.labels.records import FaceRecord
+from jaxfit.models.files import save
+from jaxfit.models.model import Model
+from jaxfit.runs import FolderReport, FolderRun, fit_folder, folder
+from jaxfit.schemes.known import AFLW21
+
+_CHUNK = 4
+_BROKEN = (3, 8)  # numbers of the pictures that are none
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory, drawn: Path) -> Path:
+    """Boxes of twelve pictures."""
+    squares = {f"{number:02}.png": labelled_box(drawn / f"face{number % 4:03}.png") for number in range(12)}
+    return write_boxes(tmp_path_factory.mktemp("boxes") / "boxes.csv", squares)
+
+
+@pytest.fixture(scope="module")
+def pictures(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Twelve pictures, the fourth and the ninth of which are none."""
+    folder = tmp_path_factory.mktemp("many")
+    paths = [folder / f"{number:02}.png" for number in range(12)]
+    for number, path in enumerate(paths):
+        path.write_bytes((drawn / f"face{number % 4:03}.png").read_bytes() if number not in _BROKEN else b"no picture")
+    return paths
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _small_chunks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(folder, "_CHUNK", _CHUNK)
+        yield
+
+
+@pytest.fixture
+def run(drawn_model: Path, boxes: Path, tmp_path: Path) -> FolderRun:
+    return FolderRun(tmp_path / "out", drawn_model, boxes=boxes)
+
+
+@pytest.fixture(scope="module")
+def whole(
+    drawn_model: Path, boxes: Path, pictures: list[Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[FolderReport, Path]:
+    """What a run that writes everything says, and where it has written."""
+    pytest.importorskip("pyarrow")
+    out = tmp_path_factory.mktemp("whole") / "out"
+    everything = FolderRun(out, drawn_model, boxes=boxes, formats=tuple(WRITERS), contact_sheet=True)
+    return fit_folder(everything, pictures), out
+
+
+def test_every_picture_is_accounted_for(whole: tuple[FolderReport, Path], pictures: list[Path]) -> None:
+    report, out = whole
+    assert (report.pictures, report.resumed, report.faces, report.unused) == (12, 0, 10, ())
+    fitted, problems = read_csv(out / "landmarks.csv"), read_csv(out / "problems.csv")
+    names = [Path(row["image"]).name for row in fitted]
+    assert [Path(row["image"]).name for row in problems] == ["03.png", "08.png"]
+    assert sorted([*names, "03.png", "08.png"]) == [path.name for path in pictures]
+    assert [tuple(row.values()) for row in problems] == list(report.problems)
+    assert {why for _, why in report.problems} == {"not a picture, damaged, or of a format that OpenCV does not read"}
+
+
+def test_every_format_is_written_and_nothing_else(whole: tuple[FolderReport, Path]) -> None:
+    report, out = whole
+    assert len(json.loads((out / "keypoints.json").read_text())["annotations"]) == 10
+    assert len((out / "faces.jsonl").read_text().splitlines()) == 10
+    assert len(list((out / "pts").iterdir())) == len(list((out / "overlays").iterdir())) == 10
+    assert read_image(out / "contact-sheet.jpg").std() > 10
+    assert {path.name for path in out.iterdir()} == {path.name for path in report.written}
+    assert {path.name for path in report.written} == {
+        *("landmarks.csv", "problems.csv", "faces.jsonl", "keypoints.json", "landmarks.parquet"),
+        *("contact-sheet.jpg", "pts", "overlays"),
+    }
+    assert len(report.written) == 8
+
+
+def test_tables_pts_files_and_overlays_show_the_faces(whole: tuple[FolderReport, Path], drawn: Path) -> None:
+    _, out = whole
+    for row in read_csv(out / "landmarks.csv"):
+        listed = np.array([[float(row[f"{axis}{i}"]) for axis in "xy"] for i in range(1, 6)])
+        # .pts files count from 1, the table from 0.
+        np.testing.assert_allclose(read_pts(out / "pts" / f"{row['face']}.pts"), listed, atol=2e-3)
+        picture = Path(row["image"])
+        truth = read_pts(drawn / f"face{int(picture.stem) % 4:03}.pts")
+        assert np.linalg.norm(listed - truth, axis=1).mean() < 2
+        overlay = read_image(out / "overlays" / f"{picture.stem}.jpg")
+        assert np.abs(overlay.astype(int) - read_image(picture)).max() > 60
+
+
+def test_bad_pictures_do_not_stop_the_others(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    given = tmp_path / "pictures"
+    given.mkdir()
+    good = (drawn / "face000.png").read_bytes()
+    (given / "good.png").write_bytes(good)
+    (given / "cut.png").write_bytes(good[:300])
+    (given / "text.jpg").write_text("not a picture")
+    (given / "empty.png").write_bytes(b"")
+    (given / "missing.png").write_bytes(good)
+    write_image(given / "outside.png", np.zeros((40, 40, 3), np.uint8))
+    squares = {name: (35, 35, 50, 50) for name in ("good.png", "cut.png", "text.jpg", "empty.png", "elsewhere.png")}
+    table = write_boxes(tmp_path / "boxes.csv", {**squares, "outside.png": (300, 300, 9, 9)})
+    report = fit_folder(replace(run, boxes=table), sorted(given.iterdir()))
+    assert (report.faces, report.unused) == (1, ("elsewhere.png",))
+    reasons = {Path(image).name: why for image, why in report.problems}
+    for name, words in {
+        "cut.png": "truncated",
+        "empty.png": "empty",
+        "missing.png": "no row with this file name",
+        "outside.png": "outside the 40 x 40 picture",
+        "text.jpg": "not a picture",
+    }.items():
+        assert words in reasons.pop(name)
+    assert not reasons
+    assert not any(str(given) in why for _, why in report.problems)
+
+
+def test_pictures_of_one_name_have_results_of_different_names(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "same.png").write_bytes((drawn / "face000.png").read_bytes())
+    table = write_boxes(tmp_path / "boxes.csv", {"same.png": (35, 35, 50, 50)})
+    fit_folder(replace(run, boxes=table), [tmp_path / "a" / "same.png", tmp_path / "b" / "same.png"])
+    out = Path(run.out)
+    assert {path.name for path in (out / "pts").iterdir()} == {"same_1.pts", "same-2_1.pts"}
+    assert {path.name for path in (out / "overlays").iterdir()} == {"same.jpg", "same-2.jpg"}
+
+
+def test_names_of_results_are_unique_whatever_the_pictures_are_called() -> None:
+    paths = [Path(name) for name in ("a/x.png", "b/x.png", "x-2.png", "c/x.jpg", "d/x-2.png", "y.png")]
+    assert list(folder.unique_names(paths)) == ["x", "x-2", "x-2-2", "x-3", "x-2-3", "y"]
+
+
+def test_all_faces_of_a_picture_are_fitted(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    paths = [drawn / f"face{number:03}.png" for number in (0, 1)]
+    one, other = map(read_image, paths)
+    write_image(tmp_path / "both.png", np.hstack([one, other]))
+    left, right = map(labelled_box, paths)
+    right = right + [one.shape[1], 0, 0, 0]
+    rows = "".join(f"both.png,{','.join(map(str, square))}\n" for square in (left, right))
+    (tmp_path / "boxes.csv").write_text(f"image,x,y,width,height\n{rows}")
+    fit_folder(replace(run, boxes=tmp_path / "boxes.csv", formats=("csv", "coco")), [tmp_path / "both.png"])
+    faces = read_csv(Path(run.out) / "landmarks.csv")
+    assert [row["face"] for row in faces] == ["both_1", "both_2"]
+    apart = float(faces[1]["x1"]) - float(faces[0]["x1"])
+    assert apart == pytest.approx(right[0] - left[0], abs=0.3 * left[2])
+    content = json.loads((Path(run.out) / "keypoints.json").read_text())
+    assert [image["width"] for image in content["images"]] == [one.shape[1] + other.shape[1]]
+
+
+@pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
+def test_3d_models_write_heads(
+    heads: tuple[FaceRecord, ...], head_models: dict[str, Model], tmp_path: Path, method: str
+) -> None:
+    save(head_models[method], tmp_path / "heads.safetensors")
+    pictures = [face.image for face in heads[:3]]
+    squares = [bounding_square(face.landmarks) for face in heads[:3]]
+    named = {picture.name: box for picture, box in zip(pictures, squares, strict=True)}
+    boxes = write_boxes(tmp_path / "boxes.csv", named | {pictures[1].name: np.array([900, 900, 9, 9])})
+    out = tmp_path / "out"
+    fit_folder(FolderRun(out, tmp_path / "heads.safetensors", boxes=boxes), pictures)
+    images = [read_image(picture) for picture in pictures]
+    fits = jaxfit.fit(head_models[method], images, squares)
+    assert fits.landmarks_3d is not None
+    assert fits.pose is not None
+    assert fits.scale is not None
+    assert fits.b is not None
+    rows, flat = read_csv(out / "heads.csv"), read_csv(out / "landmarks.csv")
+    points = [f"{axis}{i}" for i in range(1, 22) for axis in "xyz"]
+    modes = [f"b{i}" for i in range(1, fits.b.shape[1] + 1)]
+    angles = ["roll", "pitch", "yaw"]
+    assert list(rows[0]) == ["image", "face", *angles, "scale", *points, *modes]
+    assert [row["face"] for row in rows] == [row["face"] for row in flat] == [f"{pictures[n].stem}_1" for n in (0, 2)]
+    for row, plane, number in zip(rows, flat, (0, 2), strict=True):
+        assert row["image"] == plane["image"] == str(pictures[number])
+        solid = np.array([float(row[name]) for name in points]).reshape(21, 3)
+        np.testing.assert_allclose(solid, fits.landmarks_3d[number], atol=1e-3)
+        np.testing.assert_allclose(np.array([float(row[name]) for name in angles]), fits.pose[number], atol=1e-3)
+        np.testing.assert_allclose(np.array([float(row[name]) for name in modes]), fits.b[number], atol=1e-3)
+        assert float(row["scale"]) == pytest.approx(fits.scale[number], abs=1e-3)
+        in_picture = np.array([[float(plane[f"{axis}{i}"]) for axis in "xy"] for i in range(1, 22)])
+        np.testing.assert_allclose(in_picture, fits.landmarks[number], atol=1e-3)
+        if method == "regression3d":
+            np.testing.assert_allclose(solid[:, :2], in_picture, atol=2e-3)
+        overlay = read_image(out / "overlays" / f"{pictures[number].stem}.jpg").astype(float)
+        in_3d = draw_head(images[number], fits.landmarks_3d[number], fits.pose[number], AFLW21, squares[number])
+        in_2d = draw_landmarks(images[number], fits.landmarks[number], AFLW21, squares[number])
+        assert np.abs(overlay - in_3d).mean() < 0.8 * np.abs(overlay - in_2d).mean()  # JPEG blurs colours
+
+
+def test_wrong_settings_stop_before_anything_is_written(run: FolderRun, pictures: list[Path], tmp_path: Path) -> None:
+    wrong: dict[str, dict[str, Any]] = {
+        "only models of the method alignment3d": {"refine": True},
+        "give that file too": {"boxes": None, "box_kind": "whole"},
+        "got both": {"detector": "whole"},
+        "boxes of the kinds square": {"box_kind": "nobody"},
+        "expected formats among csv, pts, .*; got 'xml'": {"formats": ("csv", "xml")},
+        "detector": {"boxes": None, "detector": "nose"},
+    }
+    for words, settings in wrong.items():
+        with pytest.raises(InputError, match=words):
+            fit_folder(replace(run, **settings), pictures)
+    assert not Path(run.out).exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="expected a folder to write to"):
+        fit_folder(replace(run, out=tmp_path / "file"), pictures)
+
+
+class _Stopped(Exception):
+    """Where a run is stopped in these tests."""
+
+
+def _fit_until(run: FolderRun, pictures: list[Path], chunk: int) -> None:
+    """Stop a run when it wants to keep the chunk of this number."""
+    put = folder._Chunks.put
+
+    def stop(self: Any, number: int, rows: Any) -> None:
+        if number == chunk:
+            raise _Stopped
+        put(self, number, rows)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(folder._Chunks, "put", stop)
+        with pytest.raises(_Stopped):
+            fit_folder(run, pictures)
+
+
+def _assert_same_results(out: Path, whole: Path) -> None:
+    """All that a run of the usual formats writes is what a run that was not stopped has written, byte for byte."""
+    files = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
+    assert {path.parts[0] for path in files} == {"landmarks.csv", "problems.csv", "pts", "overlays"}
+    for file in files:
+        assert (out / file).read_bytes() == (whole / file).read_bytes(), file
+
+
+def test_a_stopped_run_goes_on_where_it_was(
+    run: FolderRun, pictures: list[Path], whole: tuple[FolderReport, Path], tmp_path: Path
+) -> None:
+    out = Path(run.out)
+    _fit_until(run, pictures, 2)
+    assert not (out / "landmarks.csv").exists()
+    other = write_boxes(tmp_path / "other.csv", {pictures[0].name: (35, 35, 50, 50)})
+    # A run of other pictures, or with other settings, must not go on from there.
+    for changed in ({"overlays": False}, {"starts": Starts(3)}, {"boxes": other}):
+        with pytest.raises(InputError, match=r"holds results of other settings \(.*overwrite to begin anew"):
+            fit_folder(replace(run, **changed), pictures)
+    with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
+        fit_folder(run, pictures[1:])
+    calls: list[tuple[str, int, int]] = []
+    report = fit_folder(run, pictures, lambda *call: calls.append(call))
+    assert (report.pictures, report.resumed, report.faces) == (12, 8, 10)
+    assert report.problems == whole[0].problems
+    assert {call for call in calls if call[0] == "fitting"} == {("fitting", 0, 4), ("fitting", 4, 4)}
+    _assert_same_results(out, whole[1])
+    # A run that is finished is done anew.
+    assert fit_folder(replace(run, overlays=False), pictures).resumed == 0
+
+
+def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> None:
+    _fit_until(replace(run, overlays=False), pictures[:4], 0)
+    with pytest.raises(InputError, match="overlays: false there, true here"):
+        fit_folder(run, pictures[:4])
+    assert fit_folder(replace(run, overwrite=True), pictures[:4]).faces == 3
+
+
+_DIES = f"""
+import os, signal, sys
+from jaxfit.runs import FolderRun, fit_folder, folder
+
+folder._CHUNK = {_CHUNK}
+put = folder._Chunks.put
+
+def rows_and_death(rows):
+    yield rows[0]
+    os.kill(os.getpid(), signal.SIGKILL)
+
+folder._Chunks.put = lambda self, number, rows: put(self, number, rows_and_death(rows) if number == 1 else rows)
+out, model, boxes, *pictures = sys.argv[1:]
+fit_folder(FolderRun(out, model, boxes=boxes), pictures)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process")
+def test_a_run_that_is_killed_while_it_writes_leaves_whole_chunks(
+    run: FolderRun, pictures: list[Path], whole: tuple[FolderReport, Path]
+) -> None:
+    arguments = [run.out, run.model, run.boxes, *pictures]
+    killed = subprocess.run([sys.executable, "-c", _DIES, *map(str, arguments)], check=False)
+    assert killed.returncode == -signal.SIGKILL
+    out = Path(run.out)
+    assert [path.name for path in (out / ".unfinished").glob("[!.]*.jsonl")] == ["0000000.jsonl"]
+    assert list((out / ".unfinished").glob(".*"))  # of the chunk that was being written
+    assert fit_folder(run, pictures).resumed == _CHUNK
+    _assert_same_results(out, whole[1])
+    assert not (out / ".unfinished").exists()
+
+
+def test_results_within_the_pictures_folder_are_no_pictures(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    """A picture that links to nothing is a problem, and not left out."""
+    given = tmp_path / "pictures"
+    given.mkdir()
+    (given / "00.png").write_bytes((drawn / "face000.png").read_bytes())
+    (given / "lost.png").symlink_to(given / "nowhere.png")
+    inside = replace(run, out=given / "results", contact_sheet=True)
+    for _ in range(2):
+        report = fit_folder(inside, find_images([given], recursive=True))
+        assert (report.pictures, report.faces) == (2, 1)
+        assert [Path(image).name for image, _ in report.problems] == ["lost.png"]
+
+
+def test_a_detector_finds_the_faces_where_there_are_no_boxes(run: FolderRun, drawn: Path) -> None:
+    report = fit_folder(replace(run, model="fast68", boxes=None, detector="whole"), [drawn / "face000.png"])
+    assert report.faces == 1
+    assert [row["box"] for row in read_csv(Path(run.out) / "landmarks.csv")] == ["whole"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
+def test_names_of_files_need_not_be_text(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    odd = os.fsencode(tmp_path / "odd")
+    os.mkdir(odd)
+    for name, data in ((b"\xe9t\xe9.png", (drawn / "face000.png").read_bytes()), (b"\xff.png", b"")):
+        with open(os.path.join(odd, name), "wb") as file:
+            file.write(data)
+    formats = ("csv", "jsonl", "coco", "parquet")
+    model = replace(run, model="fast68", boxes=None, detector="whole", formats=formats)
+    report = fit_folder(model, find_images([tmp_path / "odd"]))
+    assert report.faces == 1
+    out = Path(run.out)
+    assert b"\xe9t\xe9.png,\xe9t\xe9_1," in (out / "landmarks.csv").read_bytes()
+    assert b"\xff.png,the file is empty" in (out / "problems.csv").read_bytes()
