@@ -12,6 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, detector_named
+from jaxfit.data.pictures import NAMELESS
 from jaxfit.data.rows import PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
@@ -109,6 +110,8 @@ def _loaded(model: str | Path, detector: str, cores: int) -> tuple[Model, Detect
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:
     """What `BatchFitter` returns."""
     rows = replace(fits, names=tuple(names)).to_dicts(problems=True)
+    for row in rows:  # of bytes, too, the picture stands in another column
+        row[PROBLEM] = row[PROBLEM].removeprefix(f"{NAMELESS}: ")
     return {
         name: np.array([row[name] or "" for row in rows], object)
         if name in TEXTS
