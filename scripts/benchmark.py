@@ -33,7 +33,7 @@ from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, compar
 from jaxfit.fitting.stream import BATCHES
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model
-from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS
+from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 
 HERE = Path(__file__).resolve().parent
@@ -394,7 +394,7 @@ def add_errors(
             for method, found in errors.items()
         ],
         {"dataset": "", "method": "", **SUMMARY_COLUMNS},
-        above=f"NMED over {NORMALISER_TITLES[normaliser]}, on the same faces and boxes. Faces without a fit count in "
+        above=f"NMED over {NORMALISERS[normaliser].title}, on the same faces and boxes. Faces without a fit count in "
         "the median, the AUC and the failures. dlib finds whole pixels, here those of crops of "
         f"{FINE.crop} × {FINE.crop}.",
     )

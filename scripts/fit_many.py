@@ -7,11 +7,9 @@ format that cannot be read, or of more pixels than any picture; a folder is name
 import argparse
 import csv
 import os
-import signal
 import struct
 import subprocess
 import sys
-import threading
 import time
 import zlib
 from collections import Counter
@@ -88,7 +86,7 @@ def run(arguments: argparse.Namespace, report: Report) -> int:
 
 @dataclass(frozen=True)
 class _Run:
-    """A run of ``jaxfit fit``: how long it took, its largest memory, and how it ended."""
+    """A run of ``jaxfit fit``: how long it took, the most memory that it held, and how it ended."""
 
     seconds: float
     peak_mib: float
@@ -97,24 +95,13 @@ class _Run:
 
 def _fitted(pictures: Path, out: Path, options: list[str], kill_after: float | None = None) -> _Run:
     command = [sys.executable, "-m", "jaxfit", "fit", str(pictures), "--out", str(out), "--no-overlays", *options]
-    began = time.monotonic()
+    began, peak = time.monotonic(), 0.0
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    peak = 0.0
-
-    def watch() -> None:
-        nonlocal peak
-        while process.poll() is None:
-            peak = max(peak, _resident(process.pid))
-            time.sleep(_POLL)
-
-    watcher = threading.Thread(target=watch)
-    watcher.start()
-    try:
-        process.wait(kill_after)
-    except subprocess.TimeoutExpired:
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    watcher.join()
+    while process.poll() is None:
+        peak = max(peak, _resident(process.pid))
+        if kill_after is not None and time.monotonic() - began > kill_after:
+            process.kill()
+        time.sleep(_POLL)
     return _Run(time.monotonic() - began, peak, process.returncode)
 
 

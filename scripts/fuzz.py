@@ -50,21 +50,7 @@ from jaxfit.serving import Server, Service
 _LIMIT = 20.0  # seconds for one input
 _MEMORY = 8 * 2**30  # bytes that a process may ask for
 _READ, _PART, _REFUSED, _FOUND = "read", "read in part", "refused", "finding"
-_TOKENS = [
-    b"nan",
-    b"inf",
-    b"-1",
-    b"1e999",
-    b"0",
-    b"99999999999999999999",
-    b"",
-    b"\0",
-    b"\xff\xfe",
-    b"{}",
-    b"null",
-    b"[[",
-    b"../",
-]
+_TOKENS = [b"nan", b"inf", b"-1", b"1e999", b"0", b"9" * 20, b"", b"\0", b"\xff\xfe", b"{}", b"null", b"[[", b"../"]
 
 
 class Target(NamedTuple):
@@ -199,21 +185,10 @@ def _points() -> np.ndarray:
 
 
 def _images(_: Path) -> Target:
-    suffixes = (".jpg", ".png", ".bmp", ".tif", ".webp")
-    pictures = (
-        _picture(),
-        _picture()[..., 0],
-        np.dstack([_picture(), _picture()[..., 0]]),
-        _picture().astype(np.uint16) * 257,
-    )
-    seeds = []
-    for suffix in suffixes:
-        for picture in pictures:
-            if (suffix in (".jpg", ".bmp", ".webp")) and (
-                picture.dtype == np.uint16 or (picture.ndim == 3 and picture.shape[2] == 4)
-            ):
-                continue
-            seeds.append(cv2.imencode(suffix, picture)[1].tobytes())
+    usual = (_picture(), _picture()[..., 0])
+    more = (np.dstack([_picture(), _picture()[..., 0]]), _picture().astype(np.uint16) * 257)
+    pictures = {".jpg": usual, ".png": usual + more, ".bmp": usual, ".tif": usual + more, ".webp": usual}
+    seeds = [cv2.imencode(suffix, each)[1].tobytes() for suffix, some in pictures.items() for each in some]
     exif = bytes.fromhex("ffe10022457869660000") + b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
     seeds.append(seeds[0][:2] + exif + seeds[0][2:])
 
@@ -290,19 +265,20 @@ def _aflw2000(folder: Path) -> Target:
     return Target(seeds, _dataset(folder, f"aflw2000:{folder}", folder / "b.mat"))
 
 
-def _boxes(folder: Path) -> Target:
+def _file(path: Path, read: Callable[[Path], object], *seeds: bytes) -> Target:
+    """A file that is read from a path, with these contents, or, without, with those that it has."""
+
     def attempt(data: bytes) -> str:
-        (folder / "boxes.csv").write_bytes(data)
-        read_boxes(folder / "boxes.csv")
+        path.write_bytes(data)
+        read(path)
         return _READ
 
-    return Target(
-        [
-            b"image,x,y,width,height\na.png,1,2,30,40\nb.png,5.5,6,7,8\n",
-            b'width,height,x,y,image\r\n9,9,1,1,"a, b.png"\r\n',
-        ],
-        attempt,
-    )
+    return Target([*seeds] or [path.read_bytes()], attempt)
+
+
+def _boxes(folder: Path) -> Target:
+    numbers = b"image,x,y,width,height\na.png,1,2,30,40\nb.png,5.5,6,7,8\n"
+    return _file(folder / "boxes.csv", read_boxes, numbers, b'width,height,x,y,image\r\n9,9,1,1,"a, b.png"\r\n')
 
 
 def _small_model(folder: Path) -> jaxfit.Model:
@@ -323,41 +299,21 @@ def _small_model(folder: Path) -> jaxfit.Model:
 def _models(folder: Path) -> Target:
     path = folder / "model.safetensors"
     jaxfit.save(_small_model(folder), path)
-    seeds = [path.read_bytes()]
-
-    def attempt(data: bytes) -> str:
-        path.write_bytes(data)
-        jaxfit.load(path)
-        return _READ
-
-    return Target(seeds, attempt)
+    return _file(path, jaxfit.load)
 
 
 def _heads(folder: Path) -> Target:
     path = folder / "head.safetensors"
     save_head_model(load_head_model(), path)
-
-    def attempt(data: bytes) -> str:
-        path.write_bytes(data)
-        load_head_model(path).of(IBUG68, 0.5)
-        return _READ
-
-    return Target([path.read_bytes()], attempt)
+    return _file(path, lambda path: load_head_model(path).of(IBUG68, 0.5))
 
 
 def _configs(folder: Path) -> Target:
-    path = folder / "config.toml"
     text = (
-        "folds = 2\naugmentations = [1, 5]\n[chosen]\naugmentations = 5\n[training]\nwindows = [0.4, 0.3]\n"
-        '[datasets.f]\ndata = ["pts:f"]\n[methods.sdm]\n'
+        b"folds = 2\naugmentations = [1, 5]\n[chosen]\naugmentations = 5\n[training]\nwindows = [0.4, 0.3]\n"
+        b'[datasets.f]\ndata = ["pts:f"]\n[methods.sdm]\n'
     )
-
-    def attempt(data: bytes) -> str:
-        path.write_bytes(data)
-        read_config(path)
-        return _READ
-
-    return Target([text.encode()], attempt)
+    return _file(folder / "config.toml", read_config, text)
 
 
 def _videos(folder: Path) -> Target:

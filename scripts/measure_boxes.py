@@ -7,7 +7,6 @@ them with the landmarks that a 3D head model gives their faces, so that turned o
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -18,13 +17,11 @@ from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.detectors import Detection
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import InputError
 from jaxfit.evaluation.evaluate import detected_boxes
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.labels.lifting import lift_labels
-from jaxfit.labels.records import FaceRecord
 from jaxfit.models import placements
 from jaxfit.schemes.conversions import convert, sources
 from jaxfit.schemes.known import SCHEMES
@@ -54,24 +51,18 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     known = json.loads(out.read_text("utf-8")) if out.exists() else {}
     for spec in arguments.detectors:
-        found = matches(spec, faces)
-        print(f"{spec}: {sum(detection is not None for detection in found)} of {len(faces)} faces found")
+        with Bars() as bars:
+            boxes, kinds = detected_boxes(faces, spec, bars)
+        print(f"{spec}: {np.isfinite(boxes).all(1).sum()} of {len(faces)} faces found")
         for other in convertible(scheme):
             labels = convert(np.stack([face.landmarks for face in faces]), scheme, other)
             of_scheme = known.setdefault(other.name, {})
             # What was measured on a scheme's own labels is not replaced by converted ones.
-            of_scheme |= measured(found, labels) | (of_scheme if other != scheme else {})
+            of_scheme |= measured(boxes, np.array(kinds), labels) | (of_scheme if other != scheme else {})
     with atomic_write(out, "w") as file:
         json.dump(known, file, indent=1, sort_keys=True)
         file.write("\n")
     return 0
-
-
-def matches(spec: str, faces: Sequence[FaceRecord]) -> list[Detection | None]:
-    """The box that a detector draws around each face; None where it does not find it."""
-    with Bars() as bars:
-        boxes, kinds = detected_boxes(faces, spec, bars)
-    return [None if np.isnan(box).any() else Detection(box, kind) for box, kind in zip(boxes, kinds, strict=True)]
 
 
 def convertible(scheme: Scheme) -> list[Scheme]:
@@ -84,16 +75,16 @@ def convertible(scheme: Scheme) -> list[Scheme]:
     return possible
 
 
-def measured(found: Sequence[Detection | None], landmarks: np.ndarray) -> dict[str, dict]:
-    """How faces (N, L, 2) lie in the boxes of each kind of which there are some."""
+def measured(boxes: np.ndarray, kinds: np.ndarray, landmarks: np.ndarray) -> dict[str, dict]:
+    """How faces (N, L, 2) lie in boxes (N, 4) of each kind (N,) of which there are some; NaN where none was found."""
     squares = np.stack([bounding_square(points) for points in landmarks])
     mean = mean_face((landmarks - squares[:, None, :2]) / squares[:, None, 2:], SIDE)
     result = {}
-    for kind in sorted({detection.kind for detection in found if detection}):
-        rows = [row for row, detection in enumerate(found) if detection and detection.kind == kind]
+    found = np.isfinite(boxes).all(1)
+    for kind in np.unique(kinds[found]).tolist():
+        rows = np.flatnonzero(found & (kinds == kind))
         if len(rows) >= FEWEST:
-            boxes = np.stack([detection.box for detection in found if detection and detection.kind == kind])
-            placement = placements.measure_placement(boxes, landmarks[rows], mean, SIDE)
+            placement = placements.measure_placement(boxes[rows], landmarks[rows], mean, SIDE)
             result[kind] = json.loads(
                 json.dumps(asdict(placement), default=float), parse_float=lambda text: round(float(text), 4)
             )

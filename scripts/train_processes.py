@@ -6,7 +6,6 @@ Then one of the processes is killed, in training and in evaluation: how long the
 import argparse
 import csv
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -60,7 +59,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
             ("evaluation", test, {number: folder / str(number) for number in (1, count)}),
         ):
             for number, target in targets.items():
-                for index, ended in enumerate(_ended(_started([*command, str(target)], number, folder), require=0)):
+                for index, ended in enumerate(all_ended(started([*command, str(target)], number, folder), 0)):
                     rows.append({"work": work, "processes": number, "process": index, **vars(ended)})
         columns = {"work": "", "processes": "d", "process": "d", "seconds": ".0f", "cpu": ".0f", "peak": ".0f"}
         report.table(rows, columns)
@@ -77,22 +76,25 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
         report.table(rows, {**columns, "says": "", "left": ""})
 
 
-def _started(command: list[str], count: int, folder: Path) -> list[subprocess.Popen]:
-    """So many processes of ``jaxfit``; what each says goes to a file."""
+def started(command: list[str], count: int, folder: Path) -> list[subprocess.Popen]:
+    """So many processes of ``jaxfit`` with a command; what each prints goes to a file ``said-NUMBER``."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         joined = ["--coordinator", f"127.0.0.1:{probe.getsockname()[1]}", "--processes", str(count), "--process"]
     processes = []
     for index in range(count):
         with open(folder / f"said-{index}", "w") as said:
-            ways = [*joined, str(index)] if count > 1 else []
-            started = [sys.executable, "-m", "jaxfit", *command, *ways]
-            processes.append(subprocess.Popen(started, stdout=subprocess.DEVNULL, stderr=said))
+            words = [sys.executable, "-m", "jaxfit", *command, *([*joined, str(index)] if count > 1 else [])]
+            processes.append(subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=said))
     return processes
 
 
-def _ended(processes: list[subprocess.Popen], require: int | None = None) -> list[Ended]:
-    """How processes ended, all with the required status."""
+def all_ended(processes: list[subprocess.Popen], require: int | None = None) -> list[Ended]:
+    """How processes ended, once all have.
+
+    Raises:
+        JaxfitError: one has another exit status than the required one.
+    """
     begin, ended = time.perf_counter(), dict[int, Ended]()
     while len(ended) < len(processes):
         for index, process in enumerate(processes):
@@ -113,12 +115,12 @@ def _killed(
     command: list[str], count: int, folder: Path, victim: int, stage: str, target: Path
 ) -> list[dict[str, object]]:
     """A row for each process that is left when one is killed at a stage that the first has reported."""
-    processes = _started(command, count, folder)
+    processes = started(command, count, folder)
     while stage not in (folder / "said-0").read_text():
         time.sleep(_POLL)
-    processes[victim].send_signal(signal.SIGKILL)
+    processes[victim].kill()
     rows = []
-    for index, ended in enumerate(_ended(processes)):
+    for index, ended in enumerate(all_ended(processes)):
         if index != victim:
             said = (folder / f"said-{index}").read_text()
             says = "jaxfit" if "another process ended" in said else "JAX" if "another task died" in said else "nothing"

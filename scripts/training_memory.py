@@ -4,16 +4,12 @@ Options that are not this script's own go to ``jaxfit train``.
 """
 
 import argparse
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from report import Report, measure, script_parser
-
-from jaxfit.errors import JaxfitError
+from train_processes import all_ended, started
 
 COLUMNS = {"augmentations": "d", "peak MiB": ".0f", "against the least": "+.1%", "minutes": ".1f"}
 
@@ -37,15 +33,10 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
 def trained(augmentations: int, options: list[str]) -> dict[str, float]:
     """The row of a training."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "jaxfit", "train", "--no-haar", *options]
-        command += ["--augmentations", str(augmentations), "--out", str(Path(folder) / "model.safetensors")]
-        begin = time.perf_counter()
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        if status != 0:
-            raise JaxfitError(f"failed: {' '.join(command)}")
-        minutes = (time.perf_counter() - begin) / 60
-    return {"augmentations": augmentations, "peak MiB": usage.ru_maxrss / 1024, "minutes": minutes}
+        command = ["train", "--no-haar", *options, "--augmentations", str(augmentations)]
+        command += ["--out", str(Path(folder) / "model.safetensors")]
+        (ended,) = all_ended(started(command, 1, Path(folder)), require=0)
+    return {"augmentations": augmentations, "peak MiB": ended.peak, "minutes": ended.seconds / 60}
 
 
 if __name__ == "__main__":

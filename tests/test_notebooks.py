@@ -1,8 +1,12 @@
 """Every notebook runs from top to bottom, and is stored without what running leaves behind."""
 
+import ast
+import importlib
 import json
 import os
+import re
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -42,6 +46,44 @@ def test_is_stored_clean(path: Path) -> None:
         if cell["cell_type"] == "code":
             assert cell["outputs"] == []
             assert cell["execution_count"] is None
+
+
+def private_names(code: str) -> set[str]:
+    """What is used of jaxfit that is public neither at its top level nor in one of its namespaces."""
+    tree = ast.parse(code)
+    # Only the longest of the dotted names: jaxfit.data.read_image, not jaxfit.data.
+    inner = {node.value for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    used = {ast.unparse(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute) and node not in inner}
+    used = {name for name in used if re.fullmatch(r"jaxfit(\.\w+)+", name)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "jaxfit":
+            used |= {f"{node.module}.{alias.name}" for alias in node.names}
+        if isinstance(node, ast.Import):
+            used |= {alias.name for alias in node.names if alias.name.startswith("jaxfit.")}
+    return {name for name in used if not is_public(name)}
+
+
+def is_public(name: str) -> bool:
+    """Whether ``jaxfit.NAME`` or ``jaxfit.NAMESPACE.NAME``, or what begins with one of them, is public."""
+    first, second, *_ = [*name.removeprefix("jaxfit.").split("."), ""]
+    if first not in (*jaxfit.__all__, "experiments"):
+        return False
+    if first not in jaxfit.__all__ or isinstance(getattr(jaxfit, first), ModuleType):
+        return second == "" or second in importlib.import_module(f"jaxfit.{first}").__all__
+    return True
+
+
+@each_notebook
+def test_uses_public_names(path: Path) -> None:
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert "jaxfit" in code
+    assert private_names(code) == set()
+
+
+def test_private_names_are_found() -> None:
+    code = "from jaxfit.data import crops, read_image\nimport jaxfit\njaxfit.data.Crops.join(jaxfit.shapes.SPACES)"
+    assert private_names(code) == {"jaxfit.data.crops", "jaxfit.shapes.SPACES"}
 
 
 def test_there_are_notebooks() -> None:

@@ -5,6 +5,7 @@ import shlex
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,7 +55,7 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             write(portrait[2 * number :][: len(portrait) - 8])
     row = ",".join(f"{value:.1f}" for value in face.box)
     (folder / "boxes.csv").write_text(f"image,x,y,width,height\nportrait.jpg,{row}\n")
-    rng = np.random.default_rng(0)  # faces differ, lest there be nothing to learn of their shapes
+    rng = np.random.default_rng(0)  # faces differ, so that there is something to learn of their shapes
     for part in ("train", "test"):
         (folder / "faces" / part).mkdir(parents=True)
         for number in range(4):
@@ -132,8 +133,9 @@ def test_make_targets_exist() -> None:
 
 def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
+    names: dict[str, Any] = {}
     for page in PAGES:
-        names: dict[str, object] = {}
+        names = {}
         for block in blocks(page, "python"):
             exec(compile(block, page.name, "exec"), names)
         assert "fits" in names or not blocks(page, "python")
@@ -142,7 +144,8 @@ def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
     assert np.isfinite(names["slope"]).all()
     assert np.isfinite(names["heads"].pose).all()
-    assert [face.id for face in names["frame"].faces] == [1]
+    assert names["frame"].ids.tolist() == [1]
+    assert names["face"].landmarks.shape == (1, 68, 2)
     assert names["heads"].landmarks_3d.shape == (1, 68, 3)
 
 

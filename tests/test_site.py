@@ -14,6 +14,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from jaxfit.experiments import read_config
+
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (1440, 390)
 OPENED = (
@@ -63,6 +65,13 @@ def pages(site: Path) -> dict[Path, Page]:
 def test_every_document_is_a_page(site: Path) -> None:
     documents = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in (ROOT / "docs").rglob("*.md")}
     assert documents <= {path.relative_to(site) for path in site.rglob("*.html")}
+
+
+def test_every_configuration_can_be_read() -> None:
+    configurations = sorted((ROOT / "docs" / "experiments").glob("*.toml"))
+    assert len(configurations) > 1
+    for path in configurations:
+        read_config(path)
 
 
 def test_all_links_lead_somewhere(site: Path, pages: dict[Path, Page]) -> None:

@@ -21,8 +21,8 @@ _REACH = 0.7
 @jax.tree_util.register_static
 @dataclass(frozen=True)
 class Starts:
-    """The initialisations of a fit: each face is fitted from several turned starts, and the fit nearest to all others is
-    kept (thesis 3.2.3). A static pytree, so that it can be an argument of jitted functions.
+    """The initialisations of a fit: each face is fitted from several turned starts, and the fit nearest to all others
+    is kept (thesis 3.2.3). A static pytree, so that it can be an argument of jitted functions.
 
     Attributes:
         count: how many starts a face has: one, or at least three. The time of a fit grows with it.

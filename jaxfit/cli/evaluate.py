@@ -50,7 +50,7 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import is_first
 from jaxfit.schemes.conversions import CONVERSIONS
 from jaxfit.schemes.known import NO_LANDMARKS
-from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS
+from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
@@ -154,7 +154,7 @@ def run(options: argparse.Namespace) -> int:
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
     print(
-        f"NMED over {NORMALISER_TITLES[options.normaliser]}. The mean is over fitted faces; faces without a fit count "
+        f"NMED over {NORMALISERS[options.normaliser].title}. The mean is over fitted faces; faces without a fit count "
         "in the median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
@@ -206,7 +206,7 @@ def _report(result: Evaluation) -> dict[str, Any]:
         **summarise(result.errors).as_json(),
         "fitted": fitted,
         "undetected": len(result.faces) - fitted,
-        "normaliser": NORMALISER_TITLES[result.normaliser],
+        "normaliser": NORMALISERS[result.normaliser].title,
         "seconds_per_face": seconds if isfinite(seconds) else None,
         **_report_3d(result),
     }

@@ -1,4 +1,4 @@
-"""The host side: files, pictures, boxes, crops, videos and overlays; the only place that touches OpenCV and the disk."""
+"""The host side: pictures, boxes, crops, videos, overlays; the only place that touches OpenCV and the disk."""
 
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.crops import Crops

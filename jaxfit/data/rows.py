@@ -24,7 +24,7 @@ _DIGITS = 3  # after the point
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows of all faces that one model fitted, in the order of their pictures; they can be iterated again and again.
+    """The rows of all faces that one model fitted, in the order of their pictures; they can be iterated repeatedly.
 
     Attributes:
         scheme: what the landmarks mean.

@@ -40,8 +40,8 @@ def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None
 
 
 def reading_threads(count: int) -> int:
-    """How many threads read and cut ``count`` pictures or faces: one more than keep the cores busy, as they wait for one
-    another; none for a single one."""
+    """How many threads read and cut ``count`` pictures or faces: one more than keep the cores busy, as they wait
+    for one another; none for a single one."""
     return min(_MOST_CORES, cores()) + 1 if count > 1 else 0
 
 

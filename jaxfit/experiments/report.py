@@ -11,7 +11,7 @@ from jaxfit.experiments.report_parts import Report, Section
 from jaxfit.experiments.report_pose import pose_grids, pose_summary
 from jaxfit.experiments.results import DatasetResults, ExperimentResults, read_results
 from jaxfit.experiments.thesis.comparison import with_thesis
-from jaxfit.schemes.normalisers import NORMALISER_TITLES
+from jaxfit.schemes.normalisers import NORMALISERS
 
 _GALLERY_FACES = 150  # of each dataset
 _FIGURE_FACES = 6  # of each dataset
@@ -63,7 +63,7 @@ def _own_report(results: ExperimentResults, pictures: bool) -> Report:
         "poses": ", ".join(pose.title for pose in results.pose),
         "cross-validation": f"{config.folds} folds, split by subject, seed {config.seed}",
         "compared": f"models of {config.chosen_augmentations} augmentations and {config.chosen_steps} steps",
-        "errors": f"normalised mean Euclidean distance over {NORMALISER_TITLES[config.normaliser]}"
+        "errors": f"normalised mean Euclidean distance over {NORMALISERS[config.normaliser].title}"
         + ("; of 3D methods in 3D" if in_3d.plans else ""),
         "run with": "; ".join(results.made_with),
     }

@@ -128,10 +128,11 @@ class Fits:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        parts = [f"{len(self)} faces in {len(self.names)} pictures", f"{self.scheme.count} landmarks"]
+        parts = [f"{_counted(len(self), 'face')} in {_counted(len(self.names), 'picture')}"]
+        parts += [_counted(self.scheme.count, "landmark")]
         parts += ["3D"] * (self.landmarks_3d is not None)
         parts += [] if self.confidence is None else [f"{int((self.fitted & ~self.ok).sum())} doubtful"]
-        parts += [f"{len(self.problems)} problems"] * bool(self.problems)
+        parts += [_counted(len(self.problems), "problem")] * bool(self.problems)
         return f"<Fits: {', '.join(parts)}>"
 
     @classmethod
@@ -239,6 +240,10 @@ class Fits:
             entry["landmarks_3d"] = rounded(self.landmarks_3d[row])
             entry["b"] = rounded(self.b[row])
         return entry
+
+
+def _counted(count: int, thing: str) -> str:
+    return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
 def _same(one: Any, other: Any) -> bool:

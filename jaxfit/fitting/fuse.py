@@ -38,11 +38,11 @@ def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
     if len({each.landmarks.shape for each in fits}) != 1:
         shapes = ", ".join(str(each.landmarks.shape) for each in fits)
         raise InputError(f"expected fits of the same faces and landmarks, one or more; got {shapes or 'none'}")
-    told = [each.confidence for each in fits if each.confidence is not None]
-    if way in _TRUSTING and len(told) < len(fits):
+    known = [each.confidence for each in fits if each.confidence is not None]
+    if way in _TRUSTING and len(known) < len(fits):
         raise InputError(f"expected fits with a confidence for the way {way!r}; median, centroid and mean need none")
     landmarks = np.stack([each.landmarks for each in fits], 1)
-    confidence = np.stack(told, 1) if len(told) == len(fits) else np.zeros(landmarks.shape[:2])
+    confidence = np.stack(known, 1) if len(known) == len(fits) else np.zeros(landmarks.shape[:2])
     fused = np.full(landmarks[:, 0].shape, np.nan)
     some = np.isfinite(landmarks).all((2, 3)).any(1)
     fused[some] = WAYS[way](landmarks[some], confidence[some])

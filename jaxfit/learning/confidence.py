@@ -117,8 +117,8 @@ def learn_confidence(
         subjects: who is seen on each of the faces, if not as they say themselves.
         folds: how many models are trained.
         seed: of folds, starts and the network.
-        head_model: the 3D head model that the model was trained with: needed where it is no bundled one, as model files do
-            not say where it lies.
+        head_model: the 3D head model that the model was trained with: needed where it is not a bundled one, as model
+            files do not say where it lies.
         read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
         progress: called with a stage's name, what is done and what there is to do.
 

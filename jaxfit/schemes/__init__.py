@@ -2,7 +2,7 @@
 
 from jaxfit.schemes.conversions import convert
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW29, SCHEMES, scheme_named, scheme_of_count
-from jaxfit.schemes.normalisers import NORMALISERS
+from jaxfit.schemes.normalisers import NORMALISERS, Normaliser
 from jaxfit.schemes.scheme import Scheme, mirrored
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "LFPW29",
     "NORMALISERS",
     "SCHEMES",
+    "Normaliser",
     "Scheme",
     "convert",
     "mirrored",

@@ -1,24 +1,47 @@
 """Normalisers: the lengths on a face that errors of its landmarks are divided by."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from jaxfit.errors import InputError
 from jaxfit.schemes.scheme import Scheme
 
-NORMALISER_TITLES = {
-    "outer": "outer eye corners",
-    "pupil": "pupil centres",
-    "box": "bounding square",
+
+@dataclass(frozen=True)
+class Normaliser:
+    """A length on a face.
+
+    Attributes:
+        title: what it is, in words, for tables.
+        ends: gives, for a scheme, the points whose means are its two ends; None if the scheme lacks them. A normaliser
+            without ends is the side of the smallest upright square, or cube, around the annotated points.
+    """
+
+    title: str
+    ends: Callable[[Scheme], tuple[Sequence[int], Sequence[int]] | None] | None = None
+
+    def known_of(self, scheme: Scheme) -> bool:
+        """Whether faces of a scheme have it."""
+        return self.ends is None or self.ends(scheme) is not None
+
+
+def _outer_corners(scheme: Scheme) -> tuple[Sequence[int], Sequence[int]] | None:
+    return scheme.outer_eyes and ((scheme.outer_eyes[0],), (scheme.outer_eyes[1],))
+
+
+# By the names that the command line knows; a new one is a line here. The distance of the outer eye corners is our
+# reading of Eq. 16's inter-ocular distance; the square does not vanish on profile faces.
+NORMALISERS = {
+    "outer": Normaliser("outer eye corners", _outer_corners),
+    "pupil": Normaliser("pupil centres", lambda scheme: scheme.pupils),
+    "box": Normaliser("bounding square"),
 }
-NORMALISERS = tuple(NORMALISER_TITLES)
 
 
 def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.ndarray:
     """The length, in pixels, that errors are divided by.
-
-    ``outer`` is the distance of the outer eye corners, our reading of Eq. 16's inter-ocular distance;
-    ``pupil`` that of the pupil centres; ``box`` the side of the smallest upright square (or cube) around the annotated
-    points, which does not vanish on profile faces.
 
     Args:
         truth: (..., L, D) true landmarks in pixels, in 2D or 3D; NaN where unknown.
@@ -36,12 +59,18 @@ def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.
             f"landmarks of scheme {scheme.name} must be (..., {scheme.count}, 2) or (..., {scheme.count}, 3); "
             f"got {np.shape(truth)}"
         )
-    points = annotated(truth)
-    if normaliser == "box":
+    known = [name for name, each in NORMALISERS.items() if each.known_of(scheme)]
+    if normaliser not in known:
+        raise InputError(
+            f"scheme {scheme.name} has no normaliser {normaliser!r}; choose one that it has: {', '.join(known)}"
+        )
+    points, of_scheme = annotated(truth), NORMALISERS[normaliser].ends
+    ends = None if of_scheme is None else of_scheme(scheme)
+    if ends is None:
         lengths = _square_side(points)
     else:
-        left, right = _eye_indices(scheme, normaliser)
-        lengths = distance(points[..., left, :].mean(axis=-2), points[..., right, :].mean(axis=-2))
+        one, other = (points[..., list(end), :].mean(axis=-2) for end in ends)
+        lengths = distance(one, other)
     return np.where(lengths > 0, lengths, np.nan)
 
 
@@ -62,18 +91,3 @@ def _square_side(points: np.ndarray) -> np.ndarray:
     highest = np.where(unknown, -np.inf, points).max(axis=-2)
     lowest = np.where(unknown, np.inf, points).min(axis=-2)
     return np.asarray((highest - lowest).max(axis=-1))
-
-
-def _eye_indices(scheme: Scheme, normaliser: str) -> list[list[int]]:
-    """For the left and the right eye, the landmarks whose mean is the end of the normaliser."""
-    eyes: dict[str, list[list[int]]] = {}
-    if scheme.outer_eyes is not None:
-        eyes["outer"] = [[corner] for corner in scheme.outer_eyes]
-    if scheme.pupils is not None:
-        eyes["pupil"] = [list(pupil) for pupil in scheme.pupils]
-    if normaliser not in eyes:
-        raise InputError(
-            f"scheme {scheme.name} has no normaliser {normaliser!r}; "
-            f"choose one that it has: {', '.join([*eyes, 'box'])}"
-        )
-    return eyes[normaliser]

@@ -68,7 +68,8 @@ class Service:
 
         Returns:
             The picture's width and height, upright as its EXIF data say; its faces, as rows of ``faces.jsonl`` with the
-            outlines of heads; and why others that were found have no fit. All coordinates are in pixels.
+            outlines of heads, but without names; and why others that were found have no fit. All coordinates are in
+            pixels.
 
         Raises:
             InputError: no such model or detector, or the model does not know the detector's boxes.
@@ -115,9 +116,10 @@ def _fitted(data: bytes, model: Model, detector: Detector) -> dict[str, Any]:
 
 
 def _face(row: Row) -> dict[str, Any]:
-    """One face: its row, and the outline of its head."""
+    """One face: its row, but for the names that are made of a file's, and the outline of its head."""
+    face = {name: value for name, value in row.items() if name not in ("image", "face")}
     solid = solid_points(row)
     if solid is None:
-        return row
+        return face
     outline = outline_of(solid, np.array(list(row["pose"].values())))
-    return row | {"outline": {"corners": rounded(outline.corners), "axes": rounded(outline.axes)}}
+    return face | {"outline": {"corners": rounded(outline.corners), "axes": rounded(outline.axes)}}

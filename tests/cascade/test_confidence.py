@@ -12,7 +12,7 @@ from jaxfit.cascade.confidence import Clues, Confidence, count_moves
 from jaxfit.cascade.confidence import moves_of as moves_of_arrays
 from jaxfit.cascade.fit import find as find_unjitted
 from jaxfit.cascade.fit import find_clues, fit_crops
-from jaxfit.cascade.greedy import train_cascade
+from jaxfit.cascade.greedy import Greedy, train_cascade
 from jaxfit.cascade.model import first_steps
 from jaxfit.cascade.starts import Starts
 from jaxfit.shapes.space import rotate
@@ -33,8 +33,8 @@ def moves_of(path, others):
 @pytest.fixture(scope="module")
 def cascade():
     crops, landmarks = blob_faces(60, seed=1)
-    options = {"windows": (0.6, 0.4), "augmentations": 3, "variance": 0.95, "ridge": 1.0, "seed": 0}
-    return train_cascade(SPACE, Patch(), FRAME, training_set(crops, landmarks), SPREAD, **options)
+    options = Greedy(windows=(0.6, 0.4), augmentations=3, variance=0.95, ridge=1.0)
+    return train_cascade(SPACE, Patch(), FRAME, training_set(crops, landmarks), SPREAD, options)
 
 
 def confidence_of(features: int, moves: int, hidden: int = 5) -> Confidence:

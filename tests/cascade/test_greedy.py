@@ -11,7 +11,7 @@ from jax import numpy as jnp
 
 from jaxfit.cascade import greedy
 from jaxfit.cascade.fit import fit_crops
-from jaxfit.cascade.greedy import SharedAxes, TrainingSet, sample_starts, train_cascade
+from jaxfit.cascade.greedy import Greedy, SharedAxes, TrainingSet, sample_starts, train_cascade
 from jaxfit.cascade.starts import Spread, Starts
 from jaxfit.cascade.state import State
 from jaxfit.descriptors.descriptor import describe_point
@@ -24,12 +24,14 @@ NEW_CROPS, NEW_LANDMARKS = blob_faces(COUNT, seed=1)
 START = MEAN + FRAME.middle
 
 
-def trained(faces=None, descriptor=None, **changes):
+GREEDY = Greedy(windows=(0.9, 0.7, 0.5), augmentations=4, variance=1.0, ridge=0.1)
+
+
+def trained(faces=None, descriptor=None, axes=None, progress=lambda *_: None, **changes):
     # All trainings here have arrays of the same sizes, because compiling takes longer than all else.
-    options = {"windows": (0.9, 0.7, 0.5), "augmentations": 4, "variance": 1.0, "ridge": 0.1, "seed": 0} | changes
-    return train_cascade(
-        SPACE, descriptor or Patch(), FRAME, faces or training_set(CROPS, LANDMARKS), SPREAD, **options
-    )
+    faces = training_set(CROPS, LANDMARKS) if faces is None else faces
+    options = replace(GREEDY, **changes)
+    return train_cascade(SPACE, descriptor or Patch(), FRAME, faces, SPREAD, options, axes=axes, progress=progress)
 
 
 @cache
@@ -154,9 +156,9 @@ def test_starts_have_the_spread_that_was_asked_for():
 
 @pytest.mark.parametrize("space", [SPACE, shape_model_space(LANDMARKS)], ids=["points", "asm"])
 def test_turned_faces_are_found_from_several_starts(space):
-    options = {"windows": (0.9, 0.9, 0.7, 0.5), "augmentations": 12, "variance": 1.0, "ridge": 0.1, "seed": 0}
+    options = replace(GREEDY, windows=(0.9, 0.9, 0.7, 0.5), augmentations=12)
     cascade = train_cascade(
-        space, Patch(turns=True, samples=5), FRAME, training_set(CROPS, LANDMARKS), SPREAD, turn=1.5, **options
+        space, Patch(turns=True, samples=5), FRAME, training_set(CROPS, LANDMARKS), SPREAD, options, turn=1.5
     )
     upright = mean_error(fit_crops(cascade, NEW_CROPS), NEW_LANDMARKS)
     assert upright < 0.6 * mean_error(START, NEW_LANDMARKS)
@@ -199,10 +201,26 @@ def test_progress_counts_up_within_each_stage():
         ({"ridge": float("nan")}, "ridge >= 0"),
         ({"variance": 0.0}, "0 < variance <= 1"),
         ({"variance": 1.5}, "0 < variance <= 1"),
-        ({"faces": training_set(CROPS[:0], LANDMARKS[:0])}, "at least one face"),
-        ({"faces": training_set(np.zeros_like(CROPS), LANDMARKS)}, "nothing can be learned"),
+        ({"rank": 0}, "rank and augmentations >= 1"),
+        ({"spread": -1.0}, "spread and seed >= 0"),
+        ({"spread": float("inf")}, "spread and seed >= 0"),
+        ({"seed": -1}, "spread and seed >= 0"),
     ],
+    ids=str,
 )
 def test_impossible_options_are_refused(changes, words):
     with pytest.raises(InputError, match=words):
-        trained(**changes)
+        Greedy(**changes)
+
+
+@pytest.mark.parametrize(
+    ("faces", "words"),
+    [
+        (training_set(CROPS[:0], LANDMARKS[:0]), "at least one face"),
+        (training_set(np.zeros_like(CROPS), LANDMARKS), "nothing can be learned"),
+    ],
+    ids=["none", "black"],
+)
+def test_faces_that_teach_nothing_are_refused(faces, words):
+    with pytest.raises(InputError, match=words):
+        trained(faces)

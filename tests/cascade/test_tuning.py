@@ -12,7 +12,7 @@ from jax import random
 
 from jaxfit.cascade import tuning
 from jaxfit.cascade.fit import fit_crops
-from jaxfit.cascade.greedy import train_cascade
+from jaxfit.cascade.greedy import Greedy, train_cascade
 from jaxfit.cascade.tuning import Learned, Tuning, finetune_cascade
 from jaxfit.descriptors.dense import Dense
 from jaxfit.errors import InputError
@@ -23,14 +23,14 @@ FACES = training_set(*blob_faces(COUNT, seed=0))
 NEW_CROPS, NEW_LANDMARKS = blob_faces(COUNT, seed=1)
 CHECK = training_set(NEW_CROPS, NEW_LANDMARKS)
 MILD = Disturbance(0.05, 0.03, 0.0, 0.0, 0.0, 0.0)
+CAUTIOUS = Greedy(windows=(0.9, 0.6), augmentations=4, variance=1.0, ridge=3.0)
 TUNING = Tuning(epochs=10, rate=0.1, batch=10, dropped=0.1, disturbance=MILD)
 
 
 @cache
 def greedy(descriptor=Patch(), rank=None):  # noqa: B008
     """A cascade that was trained too cautiously."""
-    options = {"windows": (0.9, 0.6), "augmentations": 4, "variance": 1.0, "ridge": 3.0, "seed": 0, "rank": rank}
-    return train_cascade(SPACE, descriptor, FRAME, FACES, SPREAD, **options)
+    return train_cascade(SPACE, descriptor, FRAME, FACES, SPREAD, replace(CAUTIOUS, rank=rank))
 
 
 @cache
@@ -203,8 +203,8 @@ def test_each_face_is_seen_in_each_epoch(monkeypatch):
 
 def test_starts_are_turned_as_far_as_training_had_them():
     """Of a cascade that is tuned from upright starts alone, turned ones get worse."""
-    options = {"windows": (0.9, 0.6), "augmentations": 8, "variance": 1.0, "ridge": 3.0, "seed": 0}
-    before = train_cascade(SPACE, Patch(turns=True), FRAME, FACES, SPREAD, **options, turn=1.0)
+    options = replace(CAUTIOUS, augmentations=8)
+    before = train_cascade(SPACE, Patch(turns=True), FRAME, FACES, SPREAD, options, turn=1.0)
     gentle = replace(TUNING, epochs=6)
     _, errors = finetune_cascade(before, FACES, CHECK, SPREAD, gentle, turn=1.0)
     assert errors[-1] < errors[0]

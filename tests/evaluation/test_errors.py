@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW29, SCHEMES, scheme_named
-from jaxfit.schemes.normalisers import NORMALISER_TITLES, NORMALISERS, normaliser_length
+from jaxfit.schemes.normalisers import NORMALISERS, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 
 FIVE = Scheme(name="five", count=5, outer_eyes=(0, 1), pupils=((0, 2), (1, 3)))
@@ -57,7 +57,8 @@ def test_the_default_is_the_outer_eye_corners() -> None:
 
 
 def test_every_normaliser_has_a_title() -> None:
-    assert tuple(NORMALISER_TITLES) == NORMALISERS == ("outer", "pupil", "box")
+    assert tuple(NORMALISERS) == ("outer", "pupil", "box")
+    assert all(normaliser.title for normaliser in NORMALISERS.values())
 
 
 @pytest.mark.parametrize("scheme", SCHEMES.values(), ids=SCHEMES)

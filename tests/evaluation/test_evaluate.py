@@ -11,7 +11,7 @@ import jaxfit
 from jaxfit.cascade.model import first_steps
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.pictures import write_image
-from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, start_boxes
+from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, measure, start_boxes
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import IBUG68
 
@@ -80,12 +80,12 @@ def test_faces_without_truth_or_fit_are_counted(tmp_path: Path) -> None:
         record(points, tmp_path / "missing.png", "missing"),
     ]
     result = jaxfit.evaluate(model, faces, start_boxes(faces))
-    assert result.pose is result.errors_3d is None
+    assert result.fits.pose is result.errors_3d is None
     assert np.isnan(result.ordered_pose).all()
     assert np.isfinite(result.errors[:2]).all()
     assert np.isnan(result.errors[2])
     assert result.errors[3] == np.inf
-    assert set(result.problems) == {3}
+    assert [problem.row for problem in result.fits.problems] == [3]
     assert result.seconds_per_face > 0
 
 
@@ -99,11 +99,11 @@ def test_errors_of_heads_are_those_of_the_heads_that_were_drawn(head_models, hea
     faces = (*heads[:4], replace(heads[4], image=Path("missing.png")))
     result = jaxfit.evaluate(head_models[method], faces, start_boxes(faces))
     np.testing.assert_array_equal(result.true_pose, [face.pose for face in faces])
-    np.testing.assert_array_equal(result.ordered_pose[:4], result.pose[:4])
-    assert np.isnan(result.pose[4]).all()
+    np.testing.assert_array_equal(result.ordered_pose[:4], result.fits.pose[:4])
+    assert np.isnan(result.fits.pose[4]).all()
     assert result.errors[4] == result.errors_3d[4] == np.inf
     # What the depths add: the fits' against those drawn.
-    fits = jaxfit.fit(head_models[method], [jaxfit.read_image(face.image) for face in faces[:4]], result.boxes[:4])
+    fits = jaxfit.fit(head_models[method], [jaxfit.read_image(face.image) for face in faces[:4]], result.fits.boxes[:4])
     truth = []
     for face in faces[:4]:
         drawn = rotation_of(face.pose).apply(HEAD)
@@ -126,52 +126,48 @@ def test_poses_are_measured_without_landmarks(head_models, heads) -> None:
     result = jaxfit.evaluate(head_models["regression3d"], faces, boxes)
     assert np.isnan(result.errors).all()
     assert np.isnan(result.errors_3d).all()
-    assert set(result.problems) == {2}
+    assert [problem.row for problem in result.fits.problems] == [2]
     assert result.landmarks.shape == (5, 21, 2)
     np.testing.assert_array_equal(
         np.isnan(result.true_pose)[:4], [[False] * 3, [True, False, False], [True] * 3, [False] * 3]
     )
-    np.testing.assert_array_equal(result.ordered_pose[:3], result.pose[:3])
+    np.testing.assert_array_equal(result.ordered_pose[:3], result.fits.pose[:3])
     np.testing.assert_allclose(result.ordered_pose[[0, 3]], result.true_pose[[0, 3]], atol=12)
-    same = rotation_of(result.pose[3]).as_euler("XYZ", degrees=True)
+    same = rotation_of(result.fits.pose[3]).as_euler("XYZ", degrees=True)
     np.testing.assert_allclose(result.ordered_pose[3], [same[2], -same[0], same[1]], atol=1e-3)
 
 
 def test_no_faces_have_no_errors(head_models) -> None:
     result = jaxfit.evaluate(head_models["regression3d"], [], np.zeros((0, 4)))
     shapes = [
-        part.shape for part in (result.errors, result.errors_3d, result.pose, result.true_pose, result.ordered_pose)
+        part.shape
+        for part in (result.errors, result.errors_3d, result.fits.pose, result.true_pose, result.ordered_pose)
     ]
     assert shapes == [(0,), (0,), (0, 3), (0, 3), (0, 3)]
 
 
-def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, heads, monkeypatch) -> None:
+def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, heads) -> None:
     # 68 points that no cascade finds in time, converted to the labels' 21.
     model, rng = replace(head_models["regression3d"], scheme=IBUG68), np.random.default_rng(0)
     fits = jaxfit.Fits(
-        rng.normal(size=(2, 68, 2)),
-        problems={},
+        scheme=IBUG68,
+        names=("a", "b"),
+        sizes=np.full((2, 2), 140),
         pictures=np.arange(2),
         boxes=np.ones((2, 4)),
         kinds=("square",) * 2,
+        landmarks=rng.normal(size=(2, 68, 2)),
         landmarks_3d=rng.normal(size=(2, 68, 3)),
         pose=np.ones((2, 3)),
         scale=np.ones(2),
+        b=np.ones((2, 1)),
     )
-    monkeypatch.setattr("jaxfit.evaluation.evaluate.fit", lambda *_, **__: fits)
-    monkeypatch.setattr("jaxfit.evaluation.evaluate.warm_up", lambda *_, **__: None)
-    result = jaxfit.evaluate(model, heads[:2], start_boxes(heads[:2]), scheme=head_models["regression3d"].scheme)
+    result = measure(fits, heads[:2], scheme=head_models["regression3d"].scheme, model=model)
     assert np.isfinite(result.errors).all()
     assert np.isnan(result.errors_3d).all()
-    np.testing.assert_array_equal(result.pose, fits.pose)
-
-
-def test_refining_what_is_not_aligned_stops_before_the_work(head_models, heads) -> None:
-    def read(path: Path) -> np.ndarray:
-        pytest.fail("a picture was read")
-
-    with pytest.raises(jaxfit.InputError, match="only models of the method alignment3d"):
-        jaxfit.evaluate(head_models["regression3d"], heads[:1], start_boxes(heads[:1]), refine=True, read=read)
+    assert result.fits == fits
+    with pytest.raises(jaxfit.InputError, match="a fit for each of 3 faces; got 2"):
+        measure(fits, heads[:3], scheme=head_models["regression3d"].scheme)
 
 
 @pytest.mark.parametrize("method", ["alignment3d", "regression3d"])
@@ -183,9 +179,9 @@ def test_every_step_is_what_a_cascade_of_so_many_steps_tells(head_models, heads,
     for steps, result in enumerate(results, 1):
         short = replace(model, cascade=first_steps(model.cascade, steps))
         alone = jaxfit.evaluate(short, faces, boxes)
-        for name in ("errors", "errors_3d", "landmarks", "pose"):
-            np.testing.assert_allclose(getattr(result, name), getattr(alone, name), rtol=1e-3, atol=1e-3)
-        assert result.problems == alone.problems
+        for name in ("errors", "errors_3d", "landmarks"):
+            np.testing.assert_array_equal(getattr(result, name), getattr(alone, name))
+        assert result.fits.problems == alone.fits.problems
         assert np.isinf(result.errors[3])
 
 

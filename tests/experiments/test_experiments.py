@@ -1,4 +1,4 @@
-"""Experiments on drawn heads: cells, what they share, resuming, and what comes out."""
+"""Experiments on drawn heads: tasks, what they share, resuming, and results."""
 
 import csv
 import os
@@ -9,15 +9,17 @@ import subprocess
 import sys
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import pytest
 from drawn_heads import draw_heads
 from filelock import FileLock
+from report_words import check_is_the_same_without_the_thesis
 
 import jaxfit
 from jaxfit.cascade.model import first_steps
@@ -26,22 +28,25 @@ from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.pts import write_pts
 from jaxfit.errors import ImageError, InputError
 from jaxfit.evaluation.evaluate import evaluate
-from jaxfit.experiments.cells import Cell, Grid, Times, plan
+from jaxfit.experiments.arrays import Arrays, load_arrays, save_arrays
 from jaxfit.experiments.config import Config, config_from
-from jaxfit.experiments.document import Document, Gallery
-from jaxfit.experiments.lab import Lab, load_arrays, save_arrays
-from jaxfit.experiments.report import document
-from jaxfit.experiments.results import Results, read_results
-from jaxfit.experiments.running import keep_settings, run, standing
-from jaxfit.experiments.thesis import THESIS
+from jaxfit.experiments.experiment import Experiment
+from jaxfit.experiments.report import build_report
+from jaxfit.experiments.report_parts import Gallery, Report, ReportFigure
+from jaxfit.experiments.results import ExperimentResults, read_results
+from jaxfit.experiments.runner import Status, experiment_status, run_experiment
+from jaxfit.experiments.tasks import GridTask, Task, TimesTask, plan_tasks
+from jaxfit.experiments.thesis.numbers import THESIS
+from jaxfit.fitting.stream import Progress
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.learning.train import Trained
 from jaxfit.schemes.known import AFLW21, IBUG68
 from jaxfit.schemes.scheme import Scheme
 
-FACES = 14  # in two folds: fewer than 8, of which batches are made, lest these be compiled too
-# Two steps, and starts far from upright: enough to tell apart what must be.
+FACES = 14  # in two folds: each has fewer than 8 faces, so that one size of batch is compiled
+# Two steps, and starts far from upright, so that results that must differ do. All components of the features are kept:
+# models of both folds have one size, and are compiled once.
 TEXT = """
 folds = 2
 augmentations = [1, 2]
@@ -56,13 +61,15 @@ windows = [0.6, 0.4]
 shape_variance = 0.9
 mirror = false
 frame = {crop = 64, face = 36}
+variance = 1.0
 [datasets.drawn]
 data = ["pts:drawn"]
 thesis = "AFLW"
 [methods.parametric]
 [methods.alignment3d]
 """
-PARAMETRIC_ALONE = TEXT.replace("[methods.alignment3d]\n", "")
+# One method of the two, and the chosen augmentations alone.
+PARAMETRIC_ALONE = TEXT.replace("[methods.alignment3d]\n", "").replace("augmentations = [1, 2]", "augmentations = [2]")
 
 
 @pytest.fixture(scope="module")
@@ -73,39 +80,66 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for face in draw_heads(folder / "drawn", FACES):
         write_pts(face.image.with_suffix(".pts"), face.landmarks)
     (folder / "config.toml").write_text(TEXT)
-    (folder / "alone.toml").write_text(PARAMETRIC_ALONE)
     return folder
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _own_code() -> None:
-    """What other tests have compiled, with all optimisations, gives other last digits than a new process."""
-    jax.clear_caches()
+def _there(folder: Path) -> Iterator[None]:
+    """In the folder, with code that is compiled without optimisations, which takes most of the time otherwise."""
+    jax.clear_caches()  # code that other tests have compiled gives other last digits than a new process
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # in other processes too
+        jax.config.update("jax_disable_most_optimizations", True)
+        keep_compiled_code()
+        yield
+        jax.config.update("jax_disable_most_optimizations", False)
 
 
-@pytest.fixture(autouse=True)
-def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.chdir(folder)
-    # Compiling takes most of the time: less well, and sooner; in other processes too.
-    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-    jax.config.update("jax_disable_most_optimizations", True)
-    keep_compiled_code()
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
-@pytest.fixture
+@pytest.fixture(scope="module")
 def config() -> Config:
     return config_from(tomllib.loads(TEXT))
 
 
-@pytest.fixture
-def results(config: Config, folder: Path) -> Results:
-    run(config, folder / "whole")  # does nothing the second time
+class Killed(NamedTuple):
+    """What another process left that was killed while it ran the experiment."""
+
+    returncode: int
+    done: list[bool]
+
+
+@pytest.fixture(scope="module")
+def killed(config: Config, folder: Path, _there: None) -> Killed:
+    """The experiment is begun by a process that is killed in the middle of the second task."""
+    command = [sys.executable, "-m", "jaxfit.cli.main", "experiments", "run", "config.toml", "--out", "whole"]
+    source = str(Path(jaxfit.__file__).parents[1])
+    tasks = plan_tasks(config)
+    with subprocess.Popen(
+        command, env={**os.environ, "PYTHONPATH": source}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if tasks[1].name in line:
+                time.sleep(0.2)
+                process.send_signal(signal.SIGKILL)
+    experiment = Experiment(config, folder / "whole")
+    return Killed(process.returncode, [experiment.done(task.name) for task in tasks])
+
+
+@pytest.fixture(scope="module")
+def begun() -> list[tuple[str, int]]:
+    """The tasks that were begun after that, and how many were done then."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def results(config: Config, folder: Path, killed: Killed, begun: list[tuple[str, int]]) -> ExperimentResults:
+    """The results of the whole experiment, which goes on where it was killed."""
+    run_experiment(config, folder / "whole", begun=lambda task, status: begun.append((task.name, status.done)))
     return read_results(folder / "whole")
 
 
-def test_every_face_has_an_error_of_every_cell(results: Results) -> None:
+def test_every_face_has_an_error_of_every_task(results: ExperimentResults) -> None:
     assert results.missing == 0
     (dataset,) = results.datasets
     for name, grid in dataset.grid.items():
@@ -119,108 +153,111 @@ def test_every_face_has_an_error_of_every_cell(results: Results) -> None:
         assert set(subjects[dataset.faces["fold"] == fold]).isdisjoint(subjects[dataset.faces["fold"] != fold])
 
 
-def test_rows_of_the_grid_are_what_shorter_cascades_find(results: Results, config: Config, folder: Path) -> None:
+def test_rows_of_the_grid_are_what_shorter_cascades_find(
+    results: ExperimentResults, config: Config, folder: Path
+) -> None:
     (dataset,) = results.datasets
-    lab = Lab(config, folder / "whole")
-    faces = lab.faces["drawn"]
+    experiment = Experiment(config, folder / "whole")
+    faces = experiment.faces["drawn"]
     rows = faces.tested(0)
-    model = lab.load_model("grid/drawn/parametric+alignment3d/a2/fold0")
-    short = jaxfit.Model(first_steps(model.cascade, 1), model.scheme, model.placements, {}, model.aligned)
+    model = experiment.load_model("grid/drawn/parametric+alignment3d/a2/fold0")
+    short = replace(model, cascade=first_steps(model.cascade, 1))
     again = evaluate(short, faces.chosen(rows), faces.boxes[rows])
+    assert again.errors_3d is not None
     np.testing.assert_allclose(again.errors, dataset.grid["parametric"][0, 1, rows], rtol=1e-4)
     np.testing.assert_allclose(again.errors_3d, dataset.grid["alignment3d"][0, 1, rows], rtol=1e-4)
     assert (dataset.errors("parametric", config)[rows] == dataset.grid["parametric"][0, 1, rows]).all()
     assert (dataset.starts["parametric"][0] == dataset.grid["parametric"][0, 1]).all()
 
 
-def test_killed_resumed_and_without_a_method_it_has_the_same_numbers(results: Results, folder: Path) -> None:
+def test_a_killed_run_goes_on_where_it_was(
+    results: ExperimentResults, config: Config, killed: Killed, begun: list[tuple[str, int]]
+) -> None:
+    tasks = plan_tasks(config)
+    assert killed.returncode == -signal.SIGKILL
+    assert killed.done == [True] + [False] * (len(tasks) - 1)
+    assert begun == [(task.name, done) for done, task in enumerate(tasks) if done >= 1]
+    assert results.missing == 0
+
+
+def test_killed_or_not_and_with_another_method_or_not_it_has_the_same_numbers(
+    results: ExperimentResults, folder: Path
+) -> None:
     """One training serves both methods: that of the parametric method alone is the same."""
-    out = folder / "killed"
-    command = [sys.executable, "-m", "jaxfit.cli.main", "experiments", "run", "alone.toml", "--out", str(out)]
-    source = str(Path(jaxfit.__file__).parents[1])
-    alone = config_from(tomllib.loads(PARAMETRIC_ALONE))
-    cells = plan(alone)
-    with subprocess.Popen(
-        command, env={**os.environ, "PYTHONPATH": source}, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stderr is not None
-        for line in process.stderr:  # until it is in the middle of the third cell
-            if cells[2].name in line:
-                time.sleep(0.2)
-                process.send_signal(signal.SIGKILL)
-    assert process.returncode == -signal.SIGKILL
-    assert [Lab(alone, out).result(cell.name).exists() for cell in cells].count(True) == 2
-    begun = []
-    run(alone, out, begun=lambda cell, state: begun.append((cell.name, state.done)))
-    assert begun == [(cell.name, done) for done, cell in enumerate(cells) if done >= 2]
-    resumed = read_results(out)
-    assert resumed.missing == 0
-    (dataset,), (whole,) = resumed.datasets, results.datasets
-    for name in ("grid", "starts", "fits"):
+    run_experiment(config_from(tomllib.loads(PARAMETRIC_ALONE)), folder / "alone")
+    alone = read_results(folder / "alone")
+    assert alone.missing == 0
+    (dataset,), (whole,) = alone.datasets, results.datasets
+    np.testing.assert_array_equal(dataset.grid["parametric"][:, 0], whole.grid["parametric"][:, 1])
+    for name in ("starts", "fits"):
         np.testing.assert_array_equal(getattr(dataset, name)["parametric"], getattr(whole, name)["parametric"])
     assert dataset.faces.keys() == whole.faces.keys()
     for name in dataset.faces:
         np.testing.assert_array_equal(dataset.faces[name], whole.faces[name])
 
 
-def test_a_cell_that_another_process_runs_is_left_to_it(results: Results, config: Config, folder: Path) -> None:
-    out = folder / "shared"
-    cells = plan(config)
-    theirs = cells[0]
-    lab, whole = copied(folder, "shared", config, cells[1:-1]), Lab(config, folder / "whole")
-    lock = FileLock(out / "locks" / f"{theirs.name.replace('/', '-')}.lock")
-    (out / "locks").mkdir()
+def test_a_task_that_another_process_runs_is_left_to_it(
+    results: ExperimentResults, config: Config, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = plan_tasks(config)
+    theirs, ours = tasks[0], tasks[-1]
+    experiment, whole = copied(folder, "shared", config, tasks[1:-1]), Experiment(config, folder / "whole")
+    lock = FileLock(experiment.folder / "locks" / f"{theirs.name.replace('/', '-')}.lock")
+    (experiment.folder / "locks").mkdir()
     lock.acquire()
     begun = []
 
-    def they_finish(cell, state) -> None:
-        begun.append(cell.name)
-        lab.save_result(theirs.name, load_arrays(whole.result(theirs.name)))
+    def they_finish(task: Task, status: Status) -> None:
+        begun.append(task.name)
+        experiment.save_result(theirs.name, load_arrays(whole.result(theirs.name)))
         lock.release()
 
-    run(config, out, begun=they_finish)
-    assert begun == [cells[-1].name]
+    kept = load_arrays(whole.result(ours.name))
+    monkeypatch.setattr(GridTask, "run", lambda task, experiment, progress: kept)
+    run_experiment(config, experiment.folder, begun=they_finish)
+    assert begun == [ours.name]
+    assert experiment.done(ours.name)
 
 
-def copied(folder: Path, name: str, config: Config, cells: Sequence[Cell]) -> Lab:
-    """A folder with the results of some cells."""
-    lab, whole = Lab(config, folder / name), Lab(config, folder / "whole")
-    for cell in cells:
-        lab.save_result(cell.name, load_arrays(whole.result(cell.name)))
+def copied(folder: Path, name: str, config: Config, tasks: Sequence[Task]) -> Experiment:
+    """An experiment in a folder with the results of some tasks."""
+    experiment, whole = Experiment(config, folder / name), Experiment(config, folder / "whole")
+    for task in tasks:
+        experiment.save_result(task.name, load_arrays(whole.result(task.name)))
     for file in ("config.json", "datasets/drawn.npz"):
-        (lab.folder / file).parent.mkdir(exist_ok=True)
-        shutil.copy(whole.folder / file, lab.folder / file)
-    return lab
+        (experiment.folder / file).parent.mkdir(exist_ok=True)
+        shutil.copy(whole.folder / file, experiment.folder / file)
+    return experiment
 
 
-def test_a_cell_that_fails_is_told_when_the_others_are_done(
-    results: Results, config: Config, folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_task_that_fails_is_reported_when_the_others_are_done(
+    results: ExperimentResults, config: Config, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cells = plan(config)
-    needed, needing, last = cells[0], cells[2], cells[-1]
+    tasks = plan_tasks(config)
+    needed, needing, last = tasks[0], tasks[2], tasks[-1]
     assert needing.needs == (needed.name,)
-    lab = copied(folder, "failing", config, [cell for cell in cells if cell not in (needed, needing, last)])
-    kept = load_arrays(Lab(config, folder / "whole").result(last.name))
+    experiment = copied(folder, "failing", config, [task for task in tasks if task not in (needed, needing, last)])
+    kept = load_arrays(Experiment(config, folder / "whole").result(last.name))
     ran = []
 
-    def fail_first(cell: Grid, lab: Lab, progress: Callable) -> dict:
-        ran.append(cell)
-        if cell == needed:
+    def fail_first(task: GridTask, experiment: Experiment, progress: Progress) -> Arrays:
+        ran.append(task)
+        if task == needed:
             raise InputError("no luck")
         return kept
 
-    monkeypatch.setattr(Grid, "run", fail_first)
+    monkeypatch.setattr(GridTask, "run", fail_first)
     with pytest.raises(InputError, match=f"{re.escape(needed.name)}: no luck$"):
-        run(config, lab.folder)
+        run_experiment(config, experiment.folder)
     assert ran == [needed, last]
-    assert lab.result(last.name).exists()
-    assert not lab.result(needing.name).exists()
+    assert experiment.result(last.name).exists()
+    assert not experiment.result(needing.name).exists()
 
 
-def test_what_cannot_be_read_is_not_timed(results: Results, config: Config, folder: Path) -> None:
-    lab = Lab(config, folder / "whole")
-    first = lab.faces["drawn"].records[lab.faces["drawn"].tested(0)[0]].image
-    asked, read = [], lab.pictures
+def test_what_cannot_be_read_is_not_timed(results: ExperimentResults, config: Config, folder: Path) -> None:
+    experiment = Experiment(config, folder / "whole")
+    first = experiment.faces["drawn"].records[experiment.faces["drawn"].tested(0)[0]].image
+    asked, read = [], experiment.pictures
 
     def pictures(path: Path) -> np.ndarray:
         asked.append(path)
@@ -228,99 +265,105 @@ def test_what_cannot_be_read_is_not_timed(results: Results, config: Config, fold
             raise ImageError(f"{path}: torn")
         return read(path)
 
-    lab.pictures = pictures  # type: ignore[assignment]
-    (times,) = (cell for cell in plan(config) if isinstance(cell, Times))
-    arrays = times.run(lab, lambda stage, done, total: None)
+    experiment.pictures = pictures  # type: ignore[assignment]
+    (times,) = (task for task in plan_tasks(config) if isinstance(task, TimesTask))
+    arrays = times.run(experiment, lambda stage, done, total: None)
     assert arrays["faces"] == config.timed_faces == len(asked) - 1
     assert (arrays["parametric.seconds"] > 0).all()
 
 
-def test_other_faces_are_not_mixed_and_pictures_may_move(results: Results, config: Config, folder: Path) -> None:
-    lab = copied(folder, "moved", config, [])
-    faces = lab.faces["drawn"]
+def test_other_faces_are_not_mixed_and_pictures_may_move(
+    results: ExperimentResults, config: Config, folder: Path
+) -> None:
+    experiment = copied(folder, "moved", config, [])
+    faces = experiment.faces["drawn"]
     moved = tuple(replace(face, image=Path("elsewhere") / face.image.name) for face in faces.records)
-    lab.faces["drawn"] = replace(faces, records=moved)
-    keep_settings(lab)
-    lab.write_faces()
-    before, after = (load_arrays(path / "datasets" / "drawn.npz") for path in (folder / "whole", lab.folder))
+    experiment.faces["drawn"] = replace(faces, records=moved)
+    experiment.keep_settings()
+    experiment.write_faces()
+    before, after = (load_arrays(path / "datasets" / "drawn.npz") for path in (folder / "whole", experiment.folder))
     assert [Path(image).parent.name for image in after["image"]] == ["elsewhere"] * FACES
     np.testing.assert_array_equal(after["landmarks"], before["landmarks"])
-    assert [section.title for section in document(read_results(lab.folder)).sections] == ["Nothing to show"]
+    assert [section.title for section in build_report(read_results(experiment.folder)).sections] == ["Nothing to show"]
     relabelled = tuple(replace(face, landmarks=face.landmarks + 1) for face in moved)
-    lab.faces["drawn"] = replace(faces, records=relabelled)
+    experiment.faces["drawn"] = replace(faces, records=relabelled)
     with pytest.raises(InputError, match=r"of other settings \(labels.drawn: "):
-        keep_settings(lab)
+        experiment.keep_settings()
 
 
-def test_methods_are_not_compared_before_all_folds_are_run(results: Results, config: Config, folder: Path) -> None:
-    cells = plan(config)
-    lab = copied(folder, "folds", config, [cells[0], *cells[-2:]])
-    partial = read_results(lab.folder)
+def test_methods_are_not_compared_before_all_folds_are_run(
+    results: ExperimentResults, config: Config, folder: Path
+) -> None:
+    tasks = plan_tasks(config)
+    experiment = copied(folder, "folds", config, [tasks[0], *tasks[-2:]])
+    partial = read_results(experiment.folder)
     (dataset,), (whole,) = partial.datasets, results.datasets
-    assert (partial.missing, partial.waiting) == (len(cells) - 3, 1)
+    assert (partial.missing, partial.waiting) == (len(tasks) - 3, 1)
     assert np.isnan(dataset.errors("parametric", config)).all()
     np.testing.assert_array_equal(dataset.grid["parametric"][:, 0], whole.grid["parametric"][:, 0])
-    assert document(partial).about["left out"] == "1 cells, until those of all folds are run"
+    assert build_report(partial).about["left out"] == "1 tasks, until those of all folds are run"
 
 
-def test_pose_is_tested(results: Results, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    model = Lab(results.config, folder / "whole").load_model("grid/drawn/parametric+alignment3d/a2/fold0")
+def test_pose_is_tested(results: ExperimentResults, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = Experiment(results.config, folder / "whole").load_model("grid/drawn/parametric+alignment3d/a2/fold0")
 
-    def already_trained(faces: Sequence[FaceRecord], scheme: Scheme, **options) -> Trained:
+    def already_trained(faces: Sequence[FaceRecord], scheme: Scheme, **options: Any) -> Trained:
         assert scheme == AFLW21
         return Trained(model, len(faces), ())
 
-    monkeypatch.setattr("jaxfit.experiments.cells.train", already_trained)
+    monkeypatch.setattr("jaxfit.experiments.tasks.train", already_trained)
     heads = Dataset("heads:drawn", AFLW21, draw_heads(folder / "drawn", FACES)[: FACES // 2])
     monkeypatch.setitem(FORMATS, "heads", lambda path: heads)
     text = TEXT.split("[datasets.drawn]")[0] + "[methods.solid]\nmethod = 'alignment3d'\n"
     config = config_from(tomllib.loads(text + "[pose]\ntrain = ['heads:drawn']\ntest = ['heads:drawn']"))
-    run(config, folder / "pose")
+    run_experiment(config, folder / "pose")
     tested = read_results(folder / "pose")
     (pose,) = tested.pose
     np.testing.assert_array_equal(pose.truth, [face.pose for face in heads.faces])
     assert list(pose.subjects) == [face.subject for face in heads.faces]
     assert np.corrcoef(pose.fitted["solid"][:, 2], pose.truth[:, 2])[0, 1] > 0.6
-    parts = {part.name for section in document(tested).sections for part in section.parts}
+    parts = {part.name for section in build_report(tested).sections for part in section.parts}
     assert parts == {"pose-heads", "surface-heads-solid", "pose-heads-solid-pitch", "pose-heads-solid-yaw"}
-    # Other landmarks than those that are trained on are told before anything is.
+    # Other landmarks than those that are trained on are refused before anything is run.
     monkeypatch.setitem(FORMATS, "pts", lambda path: replace(heads, scheme=IBUG68))
     other = config_from(tomllib.loads(text + "[pose]\ntrain = ['heads:drawn']\ntest = ['pts:drawn']"))
     with pytest.raises(
         InputError, match="test faces of aflw21, as in train, or without landmarks; pts:drawn has ibug68"
     ):
-        run(other, folder / "other-pose")
+        run_experiment(other, folder / "other-pose")
 
 
-def test_results_of_another_configuration_are_not_mixed(results: Results, folder: Path) -> None:
+def test_results_of_another_configuration_are_not_mixed(results: ExperimentResults, folder: Path) -> None:
     other = config_from(tomllib.loads(TEXT.replace("folds = 2", "folds = 3")))
     with pytest.raises(InputError, match=r"holds results of other settings \(folds: 2 there, 3 here; labels.drawn: "):
-        run(other, folder / "whole")
+        run_experiment(other, folder / "whole")
 
 
-def test_a_damaged_result_is_told(results: Results, config: Config, folder: Path) -> None:
-    lab = copied(folder, "damaged", config, plan(config))
-    torn = lab.result(plan(config)[1].name)
+def test_a_damaged_result_is_reported(results: ExperimentResults, config: Config, folder: Path) -> None:
+    experiment = copied(folder, "damaged", config, plan_tasks(config))
+    torn = experiment.result(plan_tasks(config)[1].name)
     torn.write_bytes(torn.read_bytes()[:200])
     with pytest.raises(InputError, match=r"fold1\.npz: is damaged .* delete it"):
-        standing(lab)
-    (lab.folder / "datasets" / "drawn.npz").unlink()
+        experiment_status(experiment)
+    (experiment.folder / "datasets" / "drawn.npz").unlink()
     torn.unlink()
     with pytest.raises(InputError, match=r"drawn\.npz: is missing; run the experiment again"):
-        read_results(lab.folder)
+        read_results(experiment.folder)
 
 
-def test_a_dry_run_tells_and_does_nothing(results: Results, folder: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_dry_run_says_what_there_is_to_do_and_does_nothing(
+    results: ExperimentResults, folder: Path, capsys: pytest.CaptureFixture
+) -> None:
     assert main(["experiments", "run", "config.toml", "--out", "new", "--dry-run"]) == 0
-    told = capsys.readouterr().out
-    assert f"drawn: {FACES} faces with all 21 landmarks (aflw21)" in told
-    assert "7 of 7 cells to run" in told
+    said = capsys.readouterr().out
+    assert f"drawn: {FACES} faces with all 21 landmarks (aflw21)" in said
+    assert "7 of 7 tasks to run" in said
     assert not (folder / "new").exists()
     assert main(["experiments", "run", "config.toml", "--out", "whole", "--dry-run"]) == 0
-    assert "0 of 7 cells to run; one process takes about 0 s, by the pace so far" in capsys.readouterr().out
+    assert "0 of 7 tasks to run; one process takes about 0 s, by the pace so far" in capsys.readouterr().out
 
 
-def test_reports(results: Results, config: Config, folder: Path, capsys: pytest.CaptureFixture) -> None:
+def test_reports(results: ExperimentResults, config: Config, folder: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["experiments", "report", "whole", "--out", "report"]) == 0
     report = folder / "report"
     page = (report / "report.html").read_text()
@@ -343,10 +386,10 @@ def test_reports(results: Results, config: Config, folder: Path, capsys: pytest.
 
 
 def test_reports_of_what_is_not_finished_leave_out_what_is_missing(
-    results: Results, config: Config, folder: Path
+    results: ExperimentResults, config: Config, folder: Path
 ) -> None:
-    lab = copied(folder, "part", config, plan(config)[:2])
-    partial = document(read_results(lab.folder), pictures=False)
+    experiment = copied(folder, "part", config, plan_tasks(config)[:2])
+    partial = build_report(read_results(experiment.folder), pictures=False)
     parts = {part.name: part for section in partial.sections for part in section.parts if not isinstance(part, Gallery)}
     assert parts.keys() == {
         *("grid-drawn-2d", "best-2d", "grid-drawn-3d", "best-3d", "ced-drawn-2d", "errors-2d", "ced-drawn-3d"),
@@ -355,7 +398,9 @@ def test_reports_of_what_is_not_finished_leave_out_what_is_missing(
     }
     assert "the 2D fit is drawn" in parts["fits-drawn-3d"].note
     assert not parts["fits-drawn-2d"].note
-    for ax in parts["fits-drawn-2d"].figure.axes:  # whole faces are seen, without pictures too
+    fits = parts["fits-drawn-2d"]
+    assert isinstance(fits, ReportFigure)
+    for ax in fits.figure.axes:  # whole faces are shown, without pictures too
         labels = np.concatenate([line.get_xydata() for line in ax.lines if line.get_color() == "red"])
         assert (labels > [ax.get_xlim()[0], ax.get_ylim()[1]]).all()
         assert (labels < [ax.get_xlim()[1], ax.get_ylim()[0]]).all()
@@ -363,10 +408,19 @@ def test_reports_of_what_is_not_finished_leave_out_what_is_missing(
     assert not any(face.jpeg for face in gallery.faces)
     assert "are no longer where they were" not in gallery.note
     faces = load_arrays(folder / "whole" / "datasets" / "drawn.npz")
-    save_arrays(lab.folder / "datasets" / "drawn.npz", {**faces, "image": np.array(["gone.png"] * FACES)})
-    assert f"{FACES} pictures are no longer where they were" in gallery_of(document(read_results(lab.folder))).note
+    save_arrays(experiment.folder / "datasets" / "drawn.npz", {**faces, "image": np.array(["gone.png"] * FACES)})
+    note = gallery_of(build_report(read_results(experiment.folder))).note
+    assert f"{FACES} pictures are no longer where they were" in note
 
 
-def gallery_of(report: Document) -> Gallery:
+def test_a_report_without_the_thesis_has_the_same_numbers(results: ExperimentResults, config: Config) -> None:
+    plain = replace(config, datasets=tuple(replace(plan, thesis=None) for plan in config.datasets))
+    datasets = tuple(replace(dataset, thesis=None) for dataset in results.datasets)
+    report = build_report(results, pictures=False)
+    without = build_report(replace(results, config=plain, datasets=datasets), pictures=False)
+    check_is_the_same_without_the_thesis(report, without)
+
+
+def gallery_of(report: Report) -> Gallery:
     (gallery,) = (part for section in report.sections for part in section.parts if isinstance(part, Gallery))
     return gallery

@@ -1,12 +1,11 @@
 """What a report says of made-up poses: people count, not pictures; of the thesis it speaks only if it is asked to."""
 
-import re
 import tomllib
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+from report_words import check_is_the_same_without_the_thesis
 
 from jaxfit.evaluation.pose import pose_rows
 from jaxfit.evaluation.statistics import holm
@@ -113,34 +112,5 @@ def test_errors_by_true_pose(report: Report) -> None:
     assert figures["surface-pointing04-regressed"].startswith("Figure 21. ")
 
 
-def words_of(report: Report) -> Iterator[str]:
-    """Everything that a report says, inside its figures too."""
-    from matplotlib.text import Text
-
-    yield report.title
-    for pair in report.about.items():
-        yield from pair
-    for section in report.sections:
-        yield from (section.title, *section.text)
-        for part in section.parts:
-            yield from (part.title, part.note)
-            if isinstance(part, ReportTable):
-                yield from (*part.columns, *(str(value) for row in part.rows for value in row.values()))
-            elif isinstance(part, ReportFigure):
-                yield from (text.get_text() for text in part.figure.findobj(Text))
-
-
 def test_without_a_dataset_of_the_thesis_nothing_is_said_of_it(report: Report) -> None:
-    plain = report_of(TEXT.replace('thesis = "AFLW"\n', ""))
-    words = re.compile(r"thesis|claim|appendix|appendices|\bEq\.|\b(Figure|Table|Tables) \d|\(\d\.\d\)", re.IGNORECASE)
-    assert not [text for text in words_of(plain) if words.search(text)]
-    assert {name for text in words_of(report) for name in words.findall(text)} >= {"Figure", "Table"}
-    # All else is the same.
-    own = [part.name for section in plain.sections for part in section.parts]
-    assert [part.name for section in report.sections for part in section.parts] == ["claims", *own]
-    for name in own:
-        if name.startswith("pose"):
-            beside, alone = table(report, name), table(plain, name)
-            assert [heading for heading in beside.columns if heading in alone.columns] == list(alone.columns)
-            for with_thesis, row in zip(beside.rows, alone.rows, strict=True):
-                np.testing.assert_equal({heading: with_thesis[heading] for heading in row}, dict(row))
+    check_is_the_same_without_the_thesis(report, report_of(TEXT.replace('thesis = "AFLW"\n', "")))

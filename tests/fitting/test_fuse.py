@@ -7,26 +7,37 @@ import pytest
 
 import jaxfit
 from jaxfit.errors import InputError
+from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.fuse import WAYS
+from jaxfit.models.model import SQUARE
+from jaxfit.schemes.known import AFLW21
 
 SURE = (0.9, 0.8, 0.9, 0.95, 0.01)
 
 
-def fits_of(landmarks: np.ndarray, confidence: float | None) -> jaxfit.Fits:
+def fits_of(landmarks: np.ndarray, confidence: float) -> Fits:
     count = len(landmarks)
-    known = None if confidence is None else np.full(count, confidence)
-    return jaxfit.Fits(landmarks, {}, np.arange(count), np.zeros((count, 4)), ("square",) * count, confidence=known)
+    return Fits(
+        scheme=AFLW21,
+        names=("",) * count,
+        sizes=np.full((count, 2), 200),
+        pictures=np.arange(count),
+        boxes=np.zeros((count, 4)),
+        kinds=(SQUARE,) * count,
+        landmarks=landmarks,
+        confidence=np.full(count, confidence),
+    )
 
 
 @pytest.fixture
-def fits() -> list[jaxfit.Fits]:
+def fits() -> list[Fits]:
     """Of three faces: four fits around the right place, one far off that nobody trusts."""
     points = np.random.default_rng(0).normal(0, 1, (5, 3, 21, 2)) + 100
     points[4] += 50
     return [fits_of(each, sure) for each, sure in zip(points, SURE, strict=True)]
 
 
-def test_several_fits_become_one(fits) -> None:
+def test_several_fits_become_one(fits: list[Fits]) -> None:
     points = np.stack([each.landmarks for each in fits])
     found = {way: jaxfit.fuse(fits, way) for way in WAYS}
     assert all(of_way.shape == (3, 21, 2) for of_way in found.values())
@@ -43,23 +54,22 @@ def test_several_fits_become_one(fits) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_faces_that_were_not_fitted_are_fused_from_the_others(fits, way: str) -> None:
+def test_faces_that_were_not_fitted_are_fused_from_the_others(fits: list[Fits], way: str) -> None:
     landmarks = [each.landmarks.copy() for each in fits]
     landmarks[0][0] = np.nan
     for each in landmarks:
         each[2] = np.nan
-    told = [
-        np.where(np.isfinite(each).all((1, 2)), fit.confidence, np.nan)
-        for each, fit in zip(landmarks, fits, strict=True)
+    holed = [
+        replace(fit, landmarks=each, confidence=np.where(np.isfinite(each).all((1, 2)), sure, np.nan))
+        for fit, each, sure in zip(fits, landmarks, SURE, strict=True)
     ]
-    holed = [replace(fit, landmarks=each, confidence=c) for fit, each, c in zip(fits, landmarks, told, strict=True)]
     found = jaxfit.fuse(holed, way)
     np.testing.assert_allclose(found[0], jaxfit.fuse(fits[1:], way)[0])
     np.testing.assert_array_equal(found[1], jaxfit.fuse(fits, way)[1])
     assert np.isnan(found[2]).all()
 
 
-def test_what_cannot_be_fused_is_said(fits) -> None:
+def test_what_cannot_be_fused_is_said(fits: list[Fits]) -> None:
     with pytest.raises(InputError, match="expected a way among centroid, median"):
         jaxfit.fuse(fits, "best")
     with pytest.raises(InputError, match="one or more; got none"):

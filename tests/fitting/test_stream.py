@@ -356,6 +356,24 @@ def test_a_single_picture_takes_no_thread_to_be_read(model: Model) -> None:
     assert threads == [threading.current_thread()]
 
 
+def test_starts_and_passes_reach_the_computation(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+
+    def find(*arguments: Any) -> dict:
+        given.append(arguments)
+        return fake_find(lambda crops: None)(*arguments)
+
+    monkeypatch.setattr(STREAM, "_find", find)
+    starts = jaxfit.Starts(5, -30.0, 40.0)
+    jaxfit.fit(model, [PICTURE], [BOX], starts=starts, passes=3)
+    jaxfit.fit(model, [with_corners(1)], detector=Corners(), starts=starts)
+    jaxfit.fit(model, [with_corners(1)], detector=Corners(rough=False))
+    jaxfit.fit(model, [PICTURE], [BOX])
+    assert [each[-2] for each in given] == [3, 2, 1, 1]
+    for each, expected in zip(given, (starts, starts, jaxfit.Starts(), jaxfit.Starts()), strict=True):
+        np.testing.assert_array_equal(each[-3], expected.rotations)
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [({"passes": 0}, "at least one pass"), ({"detector": Corners(kinds=("strange",))}, "'strange'")],

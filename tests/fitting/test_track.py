@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -9,15 +10,16 @@ import numpy as np
 import pytest
 
 import jaxfit
-from jaxfit.data.boxes import bounding_square
+from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detectors import Detection
+from jaxfit.data.detectors.detector import overlap
 from jaxfit.data.pictures import read_grey, to_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
-from jaxfit.fitting.fit import track as tracking
+from jaxfit.fitting import OneEuro, TrackedFrame, Tracker
 from jaxfit.fitting.fits import Fits
-from jaxfit.models.model import SQUARE
-from jaxfit.schemes.known import IBUG68
+from jaxfit.models.model import SQUARE, Model
+from jaxfit.schemes.known import IBUG68, scheme_named
 
 SIDE = 60.0
 PEOPLE = {"ann": 200, "bob": 100, "eve": 150}  # and the grey of their faces
@@ -30,6 +32,7 @@ class World:
     """
 
     kinds = (SQUARE,)
+    colour = False
     rough = False
 
     def __init__(self) -> None:
@@ -57,26 +60,33 @@ class World:
         confidences = np.full(len(images), np.nan if self.confidence is None else self.confidence)
         landmarks = np.full((len(images), 4, 2), np.nan)
         for row, (image, box) in enumerate(zip(images, boxes, strict=True)):
-            overlaps = [(tracking.overlap(square, box), tuple(square)) for square in self.squares(image)]
+            overlaps = [(overlap(square, box), tuple(square)) for square in self.squares(image)]
             best, square = max(overlaps, default=(0.0, tuple(box)))
             if best <= 0.2:
                 confidences[row] = 0.1
             x, y, width, height = square if best > 0.2 else box
             landmarks[row] = [[x, y], [x + width, y], [x, y + height], [x + width, y + height]]
-        fits = Fits(landmarks, {}, np.arange(len(images)), np.array(boxes).reshape(-1, 4), (SQUARE,) * len(images))
-        object.__setattr__(fits, "confidence", None if self.confidence is None else confidences)
-        return fits
+        return Fits(
+            scheme=scheme_named("points4"),
+            names=("",) * len(images),
+            sizes=np.array([image.shape[1::-1] for image in images], int).reshape(-1, 2),
+            pictures=np.arange(len(images)),
+            boxes=np.array(boxes, float).reshape(-1, 4),
+            kinds=(SQUARE,) * len(images),
+            landmarks=landmarks,
+            confidence=None if self.confidence is None else confidences,
+        )
 
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
     world = World()
-    monkeypatch.setattr(tracking, "fit", world.fit)
+    monkeypatch.setattr(import_module("jaxfit.fitting.track"), "fit", world.fit)
     return world
 
 
 @pytest.fixture(scope="module")
-def model() -> jaxfit.Model:
+def model() -> Model:
     return jaxfit.load("fast68")
 
 
@@ -91,26 +101,30 @@ def scene(**places: tuple[float, float] | None) -> np.ndarray:
     return frame
 
 
-def ids(faces: Sequence[jaxfit.TrackedFace]) -> list[int]:
-    return [face.id for face in faces]
+def ids(frame: TrackedFrame) -> list[int]:
+    """Who is in a frame, each with a face."""
+    assert len(frame.faces) == len(frame.ids) == len(frame.ages)
+    return frame.ids.tolist()
 
 
-def test_people_keep_their_numbers_without_the_detector(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+def test_people_keep_their_numbers_without_the_detector(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=1000)
     for k in range(40):
-        faces = tracker.update(scene(ann=(60 + 2 * k, 100), bob=(250 - k, 180)))
-        at = {face.id: face.box[:2] + face.box[2:] / 2 for face in faces}
+        frame = tracker.update(scene(ann=(60 + 2 * k, 100), bob=(250 - k, 180)))
+        at = dict(zip(ids(frame), map(box_centre, frame.faces.boxes), strict=True))
         if not k:
-            (ann,) = [face.id for face in faces if abs(face.box[0] - 30) < 2]
+            (ann,) = [number for number, centre in at.items() if abs(centre[0] - 60) < 2]
         np.testing.assert_allclose(at[ann], [60 + 2 * k, 100], atol=1)
         np.testing.assert_allclose(at[3 - ann], [250 - k, 180], atol=1)
-        assert [face.age for face in faces] == [k + 1, k + 1]
+        assert frame.ages.tolist() == [k + 1, k + 1]
+        assert frame.faces.pictures.tolist() == [0, 0]
+        assert (frame.faces.names, frame.faces.sizes.tolist()) == (("",), [[320, 240]])
     assert (world.looks, tracker.people) == (1, 2)
 
 
-def test_fast_faces_are_met_where_they_go(world: World, model: jaxfit.Model) -> None:
+def test_fast_faces_are_met_where_they_go(world: World, model: Model) -> None:
     """Once it is known how it moves, a face may move on by more than its fits could bridge from where it was."""
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+    tracker = Tracker(model, world, redetect_every=1000)
     x, step = 40.0, 0.0
     while x < 280:
         assert ids(tracker.update(scene(ann=(x, 120)))) == [1]
@@ -119,24 +133,24 @@ def test_fast_faces_are_met_where_they_go(world: World, model: jaxfit.Model) -> 
     assert step > 0.6 * SIDE
 
 
-def test_newcomers_are_found_in_time(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=5)
+def test_newcomers_are_found_in_time(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=5)
     first = None
     for k in range(14):
-        faces = tracker.update(scene(ann=(60, 100), bob=(200, 100) if k >= 6 else None))
-        first = k if first is None and len(faces) == 2 else first
+        frame = tracker.update(scene(ann=(60, 100), bob=(200, 100) if k >= 6 else None))
+        first = k if first is None and len(frame.faces) == 2 else first
     assert first == 10
-    assert ids(faces) == [1, 2]
-    assert [face.age for face in faces] == [14, 4]
+    assert ids(frame) == [1, 2]
+    assert frame.ages.tolist() == [14, 4]
 
 
 @pytest.mark.parametrize(
     ("absent", "back", "same"), [(20, (80, 100), True), (100, (60, 100), False), (20, (160, 60), False)]
 )
 def test_who_leaves_is_lost_and_soon_back_under_the_same_number(
-    world: World, model: jaxfit.Model, absent: int, back: tuple[int, int], same: bool
+    world: World, model: Model, absent: int, back: tuple[int, int], same: bool
 ) -> None:
-    tracker = jaxfit.Tracker(model, world)
+    tracker = Tracker(model, world)
     world.confidence = 0.9
     frames = [scene(ann=(60, 100))] * 3 + [scene()] * absent + [scene(ann=back)] * 5
     seen = [ids(tracker.update(frame)) for frame in frames]
@@ -146,59 +160,57 @@ def test_who_leaves_is_lost_and_soon_back_under_the_same_number(
 
 @pytest.mark.parametrize(("confidence", "reported", "searches"), [(0.4, True, False), (0.2, False, True)])
 def test_confidence_has_to_be_higher_to_begin_than_to_go_on(
-    world: World, model: jaxfit.Model, confidence: float, reported: bool, searches: bool
+    world: World, model: Model, confidence: float, reported: bool, searches: bool
 ) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+    tracker = Tracker(model, world, redetect_every=1000)
     world.confidence = confidence
-    assert tracker.update(scene(ann=(60, 100))) == []  # not sure enough to begin
+    assert ids(tracker.update(scene(ann=(60, 100)))) == []  # not sure enough to begin
     world.confidence = 0.9
-    while not tracker.update(scene(ann=(60, 100))):
+    while not ids(tracker.update(scene(ann=(60, 100)))):
         pass
     looks, world.confidence = world.looks, confidence
     for _ in range(10):
-        faces = tracker.update(scene(ann=(60, 100)))
-        assert bool(faces) == reported
+        assert bool(ids(tracker.update(scene(ann=(60, 100))))) == reported
     assert (world.looks > looks) == searches
     world.confidence = 0.9
     for _ in range(4):
-        faces = tracker.update(scene(ann=(60, 100)))
-    assert ids(faces) == [1]  # also after a while of doubt
+        frame = tracker.update(scene(ann=(60, 100)))
+    assert ids(frame) == [1]  # also after a while of doubt
 
 
-def test_a_moment_of_doubt_is_no_loss(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+def test_a_moment_of_doubt_is_no_loss(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=1000)
     for confidence in (0.9, 0.9, 0.1, 0.1, 0.9):
         world.confidence = confidence
-        assert bool(tracker.update(scene(ann=(60, 100)))) == (confidence > 0.5)
+        assert bool(ids(tracker.update(scene(ann=(60, 100))))) == (confidence > 0.5)
     assert world.looks == 1
 
 
-def test_of_two_tracks_on_one_face_the_older_stays(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=4)
+def test_of_two_tracks_on_one_face_the_older_stays(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=4)
     for k in range(30):  # bob passes behind ann, whose face is drawn over his
         frame = scene(bob=(250 - 5 * k, 110))
-        faces = tracker.update(np.where(scene(ann=(150, 100)) > 0, scene(ann=(150, 100)), frame))
-        squares = [face.box for face in faces]
-        assert all(tracking.overlap(a, b) < 0.5 for i, a in enumerate(squares) for b in squares[:i])
+        squares = tracker.update(np.where(scene(ann=(150, 100)) > 0, scene(ann=(150, 100)), frame)).faces.boxes
+        assert all(overlap(a, b) < 0.5 for i, a in enumerate(squares) for b in squares[:i])
 
 
-def test_without_confidence_the_detector_has_to_agree_from_time_to_time(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=5)
+def test_without_confidence_the_detector_has_to_agree_from_time_to_time(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=5)
     for _ in range(31):
         assert ids(tracker.update(scene(ann=(60, 100)))) == [1]
     world.blind = True
-    seen = [bool(tracker.update(scene(ann=(60, 100)))) for _ in range(40)]
+    seen = [bool(ids(tracker.update(scene(ann=(60, 100))))) for _ in range(40)]
     assert all(seen[:15])
     assert not any(seen[25:])
 
 
-def test_after_a_cut_everybody_is_somebody_else(world: World, model: jaxfit.Model) -> None:
+def test_after_a_cut_everybody_is_somebody_else(world: World, model: Model) -> None:
     rng = np.random.default_rng(0)
     scenes = [
         cv2.resize(rng.integers(0, 90, (6, 8), np.uint8), (320, 240), interpolation=cv2.INTER_NEAREST) for _ in "ab"
     ]
     scenes[1] = 90 - scenes[0]
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+    tracker = Tracker(model, world, redetect_every=1000)
     seen = []
     for k in range(12):
         face = scene(ann=(60, 100))
@@ -206,14 +218,14 @@ def test_after_a_cut_everybody_is_somebody_else(world: World, model: jaxfit.Mode
     assert seen == [[1]] * 6 + [[2]] * 6
 
 
-def test_a_flash_is_no_cut(world: World, model: jaxfit.Model) -> None:
-    tracker = jaxfit.Tracker(model, world, redetect_every=1000)
+def test_a_flash_is_no_cut(world: World, model: Model) -> None:
+    tracker = Tracker(model, world, redetect_every=1000)
     for light in (0, 0, 90, 0):
         face = scene(ann=(60, 100))
         assert ids(tracker.update(np.where(face > 0, face, np.uint8(light)))) == [1]
 
 
-def test_bad_frames_and_arguments(world: World, model: jaxfit.Model) -> None:
+def test_bad_frames_and_arguments(world: World, model: Model) -> None:
     frames = [
         scene(ann=(60, 100)),
         np.zeros((0, 3), np.uint8),
@@ -221,17 +233,19 @@ def test_bad_frames_and_arguments(world: World, model: jaxfit.Model) -> None:
         scene(ann=(62, 100)),
     ]
     tracked = list(jaxfit.track(model, frames, detector=world))
-    assert [ids(frame.faces) for frame in tracked] == [[1], [], [], [1]]
-    assert [frame.problem is None for frame in tracked] == [True, False, False, True]
-    assert "frame 1: expected a uint8" in str(tracked[1].problem)
+    assert [ids(frame) for frame in tracked] == [[1], [], [], [1]]
+    assert [frame.number for frame in tracked] == [0, 1, 2, 3]
+    assert all(frame.picture is picture for frame, picture in zip(tracked, frames, strict=True))
+    assert [bool(frame.problem) for frame in tracked] == [False, True, True, False]
+    assert "frame 1: expected a uint8" in tracked[1].problem
     assert list(jaxfit.track(model, [], detector=world)) == []
-    tracker = jaxfit.Tracker(model, world)
+    tracker = Tracker(model, world)
     tracker.update(frames[0], 1.0)
     with pytest.raises(InputError, match=r"after 1.0 s; got one of 1.0 s"):
         tracker.update(frames[0], 1.0)
     for call, expected in (
-        (lambda: jaxfit.Tracker(model, "nobody"), "expected a detector"),
-        (lambda: jaxfit.Tracker(model, world, redetect_every=0), "1 frame or more"),
+        (lambda: Tracker(model, "nobody"), "expected a detector"),
+        (lambda: Tracker(model, world, redetect_every=0), "1 frame or more"),
         (lambda: jaxfit.track(model, frames, frame_rate=0.0), "frame rate above 0"),
         (lambda: jaxfit.track(model, frames[0]), "put it in a list"),
         (lambda: jaxfit.track(model, "missing.mp4"), "there is no file"),
@@ -240,7 +254,7 @@ def test_bad_frames_and_arguments(world: World, model: jaxfit.Model) -> None:
             call()
 
 
-def test_a_file_that_was_cut_short_is_tracked_and_warned_of(world: World, model: jaxfit.Model, tmp_path: Path) -> None:
+def test_a_file_that_was_cut_short_is_tracked_and_warned_of(world: World, model: Model, tmp_path: Path) -> None:
     writer = cv2.VideoWriter(str(tmp_path / "whole.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (320, 240))
     for _ in range(20):
         writer.write(cv2.cvtColor(scene(ann=(60, 100)), cv2.COLOR_GRAY2BGR))
@@ -275,17 +289,17 @@ def walk(real_dataset: Callable) -> tuple[list[np.ndarray], np.ndarray]:
     return frames, np.array(truth)
 
 
-def landmarks_of(model: jaxfit.Model, frames: Sequence[np.ndarray], smoothing: jaxfit.OneEuro | None) -> np.ndarray:
-    faces = [frame.faces for frame in jaxfit.track(model, frames, redetect_every=1000, smoothing=smoothing)]
-    assert [ids(of_frame) for of_frame in faces] == [[1]] * len(frames)
-    return np.array([of_frame[0].landmarks for of_frame in faces])
+def landmarks_of(model: Model, frames: Sequence[np.ndarray], smoothing: OneEuro | None) -> np.ndarray:
+    tracked = list(jaxfit.track(model, frames, redetect_every=1000, smoothing=smoothing))
+    assert [ids(frame) for frame in tracked] == [[1]] * len(frames)
+    return np.concatenate([frame.faces.landmarks for frame in tracked])
 
 
-def test_a_real_face_is_followed_and_smoothing_calms_it(model: jaxfit.Model, walk: tuple) -> None:
+def test_a_real_face_is_followed_and_smoothing_calms_it(model: Model, walk: tuple) -> None:
     frames, truth = walk
     plain = landmarks_of(model, frames, None)
     assert nmed(plain, truth, IBUG68).max() < 0.08
-    calm = landmarks_of(model, frames, jaxfit.OneEuro())
+    calm = landmarks_of(model, frames, OneEuro())
     assert nmed(calm, truth, IBUG68).max() < 0.08
     shaken = [np.diff(points - truth, 2, axis=0).std() for points in (plain, calm)]
     assert shaken[1] < 0.8 * shaken[0]
@@ -293,13 +307,15 @@ def test_a_real_face_is_followed_and_smoothing_calms_it(model: jaxfit.Model, wal
 
 def test_heads_are_tracked_in_3d(walk: tuple) -> None:
     frames, _ = walk
-    heads = [
-        [frame.faces[0] for frame in jaxfit.track(jaxfit.load("regression68-3d"), frames[:12], smoothing=how)]
-        for how in (None, jaxfit.OneEuro())
-    ]
-    plain, calm = heads
-    assert plain[0].landmarks_3d.shape == (68, 3)
-    rolls = np.array([head.pose[0] for head in plain])
-    assert np.polyfit(np.arange(12), rolls, 1)[0] == pytest.approx(1, abs=0.3)  # a degree a frame, clockwise
-    np.testing.assert_allclose([head.pose for head in calm], [head.pose for head in plain], atol=5)
-    np.testing.assert_array_equal([head.scale for head in calm], [head.scale for head in plain])
+    model = jaxfit.load("regression68-3d")
+    plain, calm = (
+        Fits.join([frame.faces for frame in jaxfit.track(model, frames[:12], smoothing=how)]).arrays
+        for how in (None, OneEuro())
+    )
+    assert plain["landmarks_3d"].shape == (12, 68, 3)
+    assert np.polyfit(np.arange(12), plain["pose"][:, 0], 1)[0] == pytest.approx(
+        1, abs=0.3
+    )  # a degree a frame, clockwise
+    np.testing.assert_allclose(calm["pose"], plain["pose"], atol=5)
+    np.testing.assert_array_equal(calm["scale"], plain["scale"])
+    assert not np.array_equal(calm["landmarks_3d"], plain["landmarks_3d"])

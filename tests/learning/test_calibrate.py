@@ -10,7 +10,7 @@ import jaxfit
 from jaxfit.data.detectors import detect_faces
 from jaxfit.data.pictures import write_image
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning.placements import evaluate_in_own_boxes, frontal
+from jaxfit.learning.placements import calibrate_boxes, evaluate_in_own_boxes, frontal
 from jaxfit.schemes.known import NO_LANDMARKS, scheme_named
 
 FACES = 10
@@ -44,7 +44,7 @@ def _record(image: Path, box: np.ndarray | None) -> FaceRecord:
 
 def test_boxes_moved_and_shrunk_are_placed_back(boxed: list[FaceRecord], portrait: np.ndarray) -> None:
     model = jaxfit.load("sdm68")
-    learned, known = jaxfit.calibrate_boxes(model, boxed), model.placement("haar-frontal")
+    learned, known = calibrate_boxes(model, boxed), model.placement("haar-frontal")
     (found,) = jaxfit.detect_faces(portrait)
     x, y, width, height = found.box
     box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
@@ -65,9 +65,9 @@ def test_what_cannot_be_measured_is_left_out_until_too_little_is_left(boxed: lis
     blank = tmp_path / "blank.png"
     write_image(blank, np.full((200, 200), 90, np.uint8))
     others = [_record(tmp_path / "none.png", boxed[0].box), _record(blank, boxed[0].box), _record(boxed[0].image, None)]
-    assert jaxfit.calibrate_boxes(model, boxed + others) == jaxfit.calibrate_boxes(model, boxed)
+    assert calibrate_boxes(model, boxed + others) == calibrate_boxes(model, boxed)
     with pytest.raises(jaxfit.InputError, match="at least 10 faces that the detector finds in their boxes; found 3"):
-        jaxfit.calibrate_boxes(model, boxed[:3] + others)
+        calibrate_boxes(model, boxed[:3] + others)
 
 
 def test_models_that_do_not_know_the_detector_are_refused(boxed: list[FaceRecord]) -> None:
@@ -75,7 +75,7 @@ def test_models_that_do_not_know_the_detector_are_refused(boxed: list[FaceRecord
     # Of landmarks that nobody has measured boxes for, either.
     stranger = replace(model, scheme=scheme_named("points68"), placements={"square": model.placement("square")})
     with pytest.raises(jaxfit.InputError, match="haar-frontal"):
-        jaxfit.calibrate_boxes(stranger, boxed)
+        calibrate_boxes(stranger, boxed)
 
 
 def test_only_heads_that_look_ahead_tell_how_faces_lie(boxed: list[FaceRecord]) -> None:
@@ -105,10 +105,10 @@ def test_who_is_tested_does_not_tell_how_boxes_lie(boxed: list[FaceRecord], monk
     assert len(looked) == 4  # at each picture that looks ahead, once
     assert measured == [[boxed[1].box.tolist(), boxed[3].box.tolist()], [boxed[0].box.tolist(), boxed[2].box.tolist()]]
     assert [face.face for face in result.faces] == ["0", "2", "lost", "1", "3", "turned"]
-    assert list(result.problems) == [2]
+    assert [problem.row for problem in result.fits.problems] == [2]
     assert np.isfinite(result.landmarks[[0, 1, 3, 4, 5]]).all()
     assert np.isnan(result.landmarks[2]).all()
-    assert result.pose is None
+    assert result.fits.pose is None
     assert result.seconds_per_face > 0
     with pytest.raises(jaxfit.InputError, match="two subjects or more"):
         evaluate_in_own_boxes({"mine": model}, people[::2], model)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,8 @@ from jaxfit.errors import InputError, ModelError
 from jaxfit.heads.model import load_head_model, save_head_model
 from jaxfit.image.disturb import Disturbance
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning import finetune as finetuning
 from jaxfit.learning.finetune import _kept_aside, retuned
-from jaxfit.learning.prepare import cut_faces, training_set
+from jaxfit.learning.prepare import cut_labelled, training_set
 from jaxfit.schemes.known import AFLW21
 
 MILD = Disturbance(0.05, 0.03, 0.0, 0.1, 1.0, 0.1)
@@ -40,7 +40,7 @@ def compiled_soon():
 @pytest.fixture(scope="module")
 def cautious(heads) -> jaxfit.Model:
     """SDM that has learned too little."""
-    return jaxfit.train(heads, AFLW21, options=replace(OPTIONS, ridge=30.0)).model
+    return jaxfit.train(heads, AFLW21, options=OPTIONS.but(ridge=30.0)).model
 
 
 def test_what_comes_out(cautious, heads, tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def crops_of(model: jaxfit.Model, faces: Sequence[FaceRecord]) -> tuple[Any, np.
     """The crops of faces, and their labels in pictures."""
     landmarks = np.stack([face.landmarks for face in faces])
     squares = np.stack([bounding_square(each) for each in landmarks])
-    crops, _, problems = cut_faces(
+    crops, _, problems = cut_labelled(
         faces, squares, model.placement("square"), model.cascade.frame, read_grey, lambda *_: None
     )
     return crops, landmarks, problems
@@ -224,7 +224,9 @@ def test_starts_are_turned_as_the_model_was_made_for(cautious, heads, monkeypatc
         turns.append(turn)
         return cascade, []
 
-    monkeypatch.setattr(finetuning, "finetune_cascade", watched)
+    # The package has a function of the module's name.
+    module = import_module("jaxfit.learning.finetune")
+    monkeypatch.setattr(module, "finetune_cascade", watched)
     for told in ({}, {"initialisations": 3, "rotations": [-40.0, 40.0]}):
         jaxfit.finetune(replace(cautious, training=cautious.training | told), heads, validation=0.0)
     assert turns == [0.0, pytest.approx(np.radians(0.7 * 80))]
@@ -234,9 +236,11 @@ def test_a_head_model_of_ones_own_places_faces(cautious, heads, tmp_path: Path) 
     some = np.arange(21) > 3
     hidden = [partly(face, some) for face in heads]
     with pytest.raises(ModelError, match="mine"):
-        jaxfit.finetune(cautious, hidden, head=tmp_path / "mine.safetensors")
+        jaxfit.finetune(cautious, hidden, head_model=tmp_path / "mine.safetensors")
     save_head_model(load_head_model(), tmp_path / "mine.safetensors")
-    own = jaxfit.finetune(cautious, hidden, tuning=TUNING, validation=0.0, head=tmp_path / "mine.safetensors").model
+    own = jaxfit.finetune(
+        cautious, hidden, tuning=TUNING, validation=0.0, head_model=tmp_path / "mine.safetensors"
+    ).model
     bundled = jaxfit.finetune(cautious, hidden, tuning=TUNING, validation=0.0).model
     np.testing.assert_allclose(own.cascade.weights[0], bundled.cascade.weights[0], atol=1e-6)
 

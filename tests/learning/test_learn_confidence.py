@@ -20,7 +20,17 @@ from jaxfit.data.boxes import bounding_square
 from jaxfit.errors import InputError, ModelError
 from jaxfit.evaluation.calibration import auroc, calibration_error
 from jaxfit.learning import confidence as trusting
-from jaxfit.learning.confidence import DETECTED, ELSEWHERE, LOST, NO_FACES, PART, PATTERN, Trials
+from jaxfit.learning.confidence import (
+    DETECTED,
+    ELSEWHERE,
+    LOST,
+    NO_FACES,
+    PART,
+    PATTERN,
+    SampledFits,
+    learn_confidence,
+    sample_fits,
+)
 from jaxfit.schemes.known import AFLW21
 
 SQUARE = np.array([60.0, 50, 80, 80])
@@ -34,7 +44,7 @@ def model(heads) -> jaxfit.Model:
     jax.config.update("jax_disable_most_optimizations", True)
     try:
         trained = jaxfit.train(heads, AFLW21, options=OPTIONS).model
-        return jaxfit.learn_confidence(trained, heads, folds=2)
+        return learn_confidence(trained, heads, folds=2)
     finally:
         jax.config.update("jax_disable_most_optimizations", False)
 
@@ -54,19 +64,19 @@ def test_fits_tell_their_confidence(model, heads) -> None:
     np.testing.assert_allclose(plain.landmarks, fits.landmarks, atol=1e-3)
 
 
-def test_trials_tell_what_fits_tell(model, heads) -> None:
-    trials = jaxfit.try_fits(model, heads, seed=3)
-    assert set(trials.starts) == {*NO_FACES, DETECTED, LOST, "upside down"} - ({ELSEWHERE} - set(trials.starts))
-    assert not trials.good[trials.starts == PATTERN].any()
+def test_samples_tell_what_fits_tell(model, heads) -> None:
+    samples = sample_fits(model, heads, seed=3)
+    assert set(samples.starts) == {*NO_FACES, DETECTED, LOST, "upside down"} - ({ELSEWHERE} - set(samples.starts))
+    assert not samples.good[samples.starts == PATTERN].any()
     for passes in (1, 2):
-        once = trials.passes == passes
+        once = samples.passes == passes
         assert once.sum() == len(once) / 2
-        assert auroc(trials.confidence[once], trials.good[once]) > 0.85
-    again = jaxfit.try_fits(model, heads[5:], seed=3)
-    some = trials.faces >= 5
-    np.testing.assert_array_equal(again.starts, trials.starts[some])
-    np.testing.assert_allclose(again.errors, trials.errors[some], rtol=1e-3)
-    assert np.isnan(jaxfit.try_fits(replace(model, confidence=None), heads[:2]).confidence).all()
+        assert auroc(samples.confidence[once], samples.good[once]) > 0.85
+    again = sample_fits(model, heads[5:], seed=3)
+    some = samples.faces >= 5
+    np.testing.assert_array_equal(again.starts, samples.starts[some])
+    np.testing.assert_allclose(again.errors, samples.errors[some], rtol=1e-3)
+    assert np.isnan(sample_fits(replace(model, confidence=None), heads[:2]).confidence).all()
 
 
 def test_saving_changes_nothing(model, tmp_path: Path) -> None:
@@ -167,12 +177,12 @@ def test_a_model_says_how_it_was_trained(model) -> None:
 
 def test_the_head_model_that_a_model_was_trained_with_is_asked_for(model) -> None:
     solid = replace(model, training=model.training | {"method": "regression3d", "head": "ict-facekit"})
-    assert trusting.training_of(solid)[1].head == "ict-facekit"
+    assert trusting.training_of(solid)[1].head_model == "ict-facekit"
     own = replace(solid, training=solid.training | {"head": "mine.safetensors"})
     for given in (None, "ict-facekit", "other.safetensors"):
         with pytest.raises(InputError, match="expected the 3D head model mine"):
             trusting.training_of(own, given)
-    assert trusting.training_of(own, "a/mine.safetensors")[1].head == "a/mine.safetensors"
+    assert trusting.training_of(own, "a/mine.safetensors")[1].head_model == "a/mine.safetensors"
 
 
 def test_incomplete_faces_take_part_in_fine_tuning_alone(model, heads, monkeypatch) -> None:
@@ -194,24 +204,26 @@ def test_incomplete_faces_take_part_in_fine_tuning_alone(model, heads, monkeypat
     monkeypatch.setattr(trusting, "_drawn", drawn)
     partial = [replace(face, present=np.arange(21) > 3) for face in heads[::2]]
     with pytest.raises(Enough):
-        jaxfit.learn_confidence(model, [*heads[1::2], *partial], folds=2)
+        learn_confidence(model, [*heads[1::2], *partial], folds=2)
     assert {face.complete for face in learned} == {True, False}
     assert not {face.subject for face in learned} & {face.subject for face in tested}
 
 
 def test_what_cannot_be_learned_from_is_refused(model, heads) -> None:
     with pytest.raises(InputError, match="from 2 to the number of subjects"):
-        jaxfit.learn_confidence(model, heads, folds=1)
+        learn_confidence(model, heads, folds=1)
     with pytest.raises(InputError, match="landmarks, as the model's"):
-        jaxfit.try_fits(model, [replace(heads[0], landmarks=np.zeros((5, 2)))])
+        sample_fits(model, [replace(heads[0], landmarks=np.zeros((5, 2)))])
     with pytest.raises(InputError, match="that can be read; got none"):
-        jaxfit.try_fits(model, [replace(heads[0], image=Path("nowhere.png"))])
+        sample_fits(model, [replace(heads[0], image=Path("nowhere.png"))])
     same = trusting._Seen(np.zeros((4, 9)), np.ones(4, bool), np.full(4, DETECTED))
     with pytest.raises(InputError, match="good and bad fits"):
         trusting._learned([same, same], Projection(jnp.zeros(3), jnp.eye(3)), 0)
 
 
-def test_confidences_and_trials_are_what_they_seem(model) -> None:
+def test_confidences_and_samples_are_what_they_seem(model) -> None:
     assert isinstance(model.confidence, Confidence)
-    trials = Trials(np.array([0.079, 0.081, np.inf]), np.array([DETECTED] * 3), np.arange(3), np.ones(3), np.zeros(3))
-    assert trials.good.tolist() == [True, False, False]
+    samples = SampledFits(
+        np.array([0.079, 0.081, np.inf]), np.array([DETECTED] * 3), np.arange(3), np.ones(3), np.zeros(3)
+    )
+    assert samples.good.tolist() == [True, False, False]

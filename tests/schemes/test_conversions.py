@@ -77,7 +77,7 @@ def test_a_scheme_is_converted_to_itself_unchanged(scheme):
     np.testing.assert_array_equal(convert(faces, scheme, scheme), faces)
 
 
-def test_impossible_conversions_are_told_the_possible_ones():
+def test_impossible_conversions_are_refused_with_the_possible_ones():
     expected = "from aflw21 to ibug68; known conversions: ibug68 to aflw21, ibug68 to lfpw27, lfpw29 to lfpw27"
     with pytest.raises(InputError, match=expected):
         convert(random_faces(AFLW21), AFLW21, IBUG68)

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,6 +23,8 @@ import pytest
 import jaxfit
 from jaxfit.data.detectors import detector_named
 from jaxfit.errors import InputError
+from jaxfit.fitting.fits import Problem
+from jaxfit.schemes.known import IBUG68
 from jaxfit.serving import Server, Service, service
 from jaxfit.serving.server import MOST_BYTES
 
@@ -66,11 +69,11 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable]:
+def quick(monkeypatch: pytest.MonkeyPatch) -> Callable:
     """Servers that fit as the test says, and with deadlines as short as it says."""
 
     @contextmanager
-    def serve(fitted: Callable = lambda *_: NOTHING, **options) -> Iterator[Server]:
+    def serve(fitted: Callable = lambda *_: NOTHING, **options: Any) -> Iterator[Server]:
         monkeypatch.setattr(service, "_fitted", fitted)
         with serving(make_service(), **options) as running:
             yield running
@@ -80,7 +83,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable]:
 
 def ask(
     server: Server, method: str = "GET", path: str = "/", body: bytes | None = None, **headers: str | None
-) -> tuple[int, dict | bytes, http.client.HTTPMessage]:
+) -> tuple[int, Any, http.client.HTTPMessage]:
     """Status, answer and headers; a header of None is not sent, in the names ``_`` stands for ``-``."""
     usual = {"Host": f"127.0.0.1:{server.port}"}
     if method == "POST":
@@ -115,18 +118,20 @@ def test_answers_are_the_fits(server: Server, portrait_file: Path, model: str) -
     assert status == 200
     assert [answer["width"], answer["height"], answer["problems"]] == [512, 600, []]
     (face,) = answer["faces"]
-    assert face["kind"] == "haar-frontal"
-    assert face["confidence"] is None
-    np.testing.assert_allclose(face["box"], fits.boxes[0], atol=1e-3)
+    assert face["size"] == {"width": 512, "height": 600}
+    assert face["box"].pop("kind") == "haar-frontal"
+    assert list(face["box"]) == ["x", "y", "width", "height"]
+    np.testing.assert_allclose(list(face["box"].values()), fits.boxes[0], atol=1e-3)
     np.testing.assert_allclose(face["landmarks"], fits.landmarks[0], atol=0.05)
-    if fits.pose is None:
-        assert face.keys() == {"box", "kind", "confidence", "landmarks"}
+    if fits.pose is None or fits.landmarks_3d is None or fits.scale is None:
+        assert face.keys() == {"size", "box", "landmarks"}
     else:
+        assert face.keys() == {"size", "box", "landmarks", "pose", "scale", "landmarks_3d", "b", "outline"}
         np.testing.assert_allclose(face["landmarks_3d"], fits.landmarks_3d[0], atol=0.05)
         assert list(face["pose"]) == ["roll", "pitch", "yaw"]
         np.testing.assert_allclose(list(face["pose"].values()), fits.pose[0], atol=0.05)
         np.testing.assert_allclose(face["scale"], fits.scale[0], rtol=1e-2)
-        corners = np.array(face["head"]["corners"])
+        corners = np.array(face["outline"]["corners"])
         assert (corners.min(0) < fits.landmarks_3d[0].min(0)).all()
         assert (corners.max(0) > fits.landmarks_3d[0].max(0)).all()
 
@@ -144,13 +149,18 @@ def test_a_picture_without_a_face_is_no_error(server: Server) -> None:
 
 
 def test_confidence_and_faces_that_were_not_fitted(quick: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
-    landmarks = np.ones((4, 68, 2))
-    landmarks[2:] = np.nan
-    boxes = np.full((4, 4), 10.0)
-    boxes[3] = np.nan
-    kinds, problems = ("whole",) * 4, {2: "the fit diverged", 3: "no face found"}
+    landmarks = np.ones((3, 68, 2))
+    landmarks[2] = np.nan
     fits = jaxfit.Fits(
-        landmarks, problems, np.arange(4), boxes, kinds, confidence=np.array([0.1, 0.98765, np.nan, np.nan])
+        scheme=IBUG68,
+        names=("",),
+        sizes=np.array([[80, 90]]),
+        pictures=np.zeros(3, int),
+        boxes=np.full((3, 4), 10.0),
+        kinds=("whole",) * 3,
+        landmarks=landmarks,
+        problems=(Problem(0, "", "no face found"), Problem(0, "", "the fit diverged", 2)),
+        confidence=np.array([0.1, 0.98765, np.nan]),
     )
     monkeypatch.setattr(service, "fit", lambda *_, **__: fits)
     with quick(service._fitted) as server:
@@ -196,7 +206,7 @@ def promised(width: int, height: int) -> bytes:
 
 
 OTHER = "evil.example"
-REFUSED = {
+REFUSED: dict[str, tuple[int, str, str, bytes | None, dict[str, Any]]] = {
     "another host": (403, "GET", "/", None, {"Host": OTHER}),
     "another port": (403, "GET", "/options", None, {"Host": "localhost:1"}),
     "no host": (403, "GET", "/", None, {"Host": None}),
@@ -390,8 +400,13 @@ def test_nothing_is_written(
 
 def test_what_the_page_begins_with_is_compiled_first(monkeypatch: pytest.MonkeyPatch) -> None:
     done: list[object] = []
+
+    def fitted(*_: object) -> dict:
+        done.append("picture")
+        return NOTHING
+
     monkeypatch.setattr(service, "warm_up", lambda model, **how: done.append((model, how)))
-    monkeypatch.setattr(service, "_fitted", lambda *_: done.append("picture") or NOTHING)
+    monkeypatch.setattr(service, "_fitted", fitted)
     models = {"first": jaxfit.load("regression68-3d"), "second": jaxfit.load("fast68")}
     fitting = Service(models, {"haar": detector_named("haar")})
     fitting.warm_up()

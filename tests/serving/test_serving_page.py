@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,22 +56,23 @@ def running(port: int = 0) -> Iterator[Server]:
 
 
 @pytest.fixture(scope="module")
-def server(browser) -> Iterator[Server]:
+def server(browser: Any) -> Iterator[Server]:
     with running() as server:
         yield server
 
 
 @pytest.fixture
-def opened(browser) -> Callable:
+def opened(browser: Any) -> Callable:
     """Opens the page; when done with it, there must have been no error and no request but to its server."""
 
     @contextmanager
-    def show(server: Server, width: int = 1280, height: int = 900, **options) -> Iterator:
+    def show(server: Server, width: int = 1280, height: int = 900, **options: Any) -> Iterator[Any]:
         context = browser.new_context(viewport={"width": width, "height": height}, **options)
         try:
             page = context.new_page()
             page.set_default_timeout(30_000)
-            problems, requests = [], []
+            problems: list[str] = []
+            requests: list[str] = []
             page.on("console", lambda message: problems.append(message.text))
             page.on("pageerror", lambda error: problems.append(str(error)))
             page.on("request", lambda request: requests.append(request.url))
@@ -86,11 +88,11 @@ def opened(browser) -> Callable:
     return show
 
 
-def choose(page, *files) -> None:
+def choose(page: Any, *files: object) -> None:
     page.locator("#files").set_input_files(files)
 
 
-def rows(page) -> list[list[str]]:
+def rows(page: Any) -> list[list[str]]:
     page.locator("#faces tbody tr").first.wait_for()
     return [row.locator("td").all_text_contents() for row in page.locator("#faces tbody tr").all()]
 
@@ -128,9 +130,10 @@ def test_heads_have_poses_and_turn(server: Server, opened: Callable, portrait_fi
         heads = page.locator("#faces thead th").all_text_contents()
         assert heads == ["Face", "Roll", "Pitch", "Yaw", "Confidence"]
         ((_, *angles, _),) = rows(page)
-        pose = jaxfit.fit(jaxfit.load("regression68-3d"), [jaxfit.read_image(portrait_file)]).pose[0]
-        shown = [float(angle.replace("−", "-").rstrip("°")) for angle in angles]
-        np.testing.assert_allclose(shown, pose, atol=0.11)
+        fits = jaxfit.fit(jaxfit.load("regression68-3d"), [jaxfit.read_image(portrait_file)])
+        shown = np.array([float(angle.replace("−", "-").rstrip("°")) for angle in angles])
+        assert fits.pose is not None
+        np.testing.assert_allclose(shown, fits.pose[0], atol=0.11)
         turntable = page.locator("#turntable")
         before = turntable.evaluate("canvas => canvas.toDataURL()")
         turntable.focus()
@@ -151,11 +154,11 @@ def test_several_faces_and_how_sure_the_model_is(
     with opened(server) as page:
         page.get_by_label("Model").select_option("regression68-3d")
 
-        def answer(route) -> None:
-            told = route.fetch().json()
-            (face,) = told["faces"]
+        def answer(route: Any) -> None:
+            found = route.fetch().json()
+            (face,) = found["faces"]
             moved = face | {"landmarks": [[x + 150, y + 40] for x, y in face["landmarks"]], "confidence": 0.314}
-            route.fulfill(json=told | {"faces": [face | {"confidence": 0.987}, moved]})
+            route.fulfill(json=found | {"faces": [face | {"confidence": 0.987}, moved]})
 
         page.route("**/fit?*", answer)
         choose(page, portrait_file)
@@ -196,15 +199,15 @@ def test_wrong_pictures_do_not_stop_the_others(
         assert page.get_by_role("status").text_content() == "Expected a JPEG, PNG, WebP or BMP picture"
         with page.expect_download() as event:
             page.get_by_role("button", name="Save JSON").click()
-        told = json.loads(event.value.path().read_text(encoding="utf-8"))
-        assert ["error" in one or len(one["faces"]) for one in told] == [True, True, 0, 1]
+        saved = json.loads(event.value.path().read_text(encoding="utf-8"))
+        assert ["error" in one or len(one["faces"]) for one in saved] == [True, True, 0, 1]
         with page.expect_download() as event:
             page.get_by_role("button", name="Save CSV").click()
         with open(event.value.path(), encoding="utf-8", newline="") as file:
             (row,) = csv.DictReader(file)
         assert (row["image"], row["face"], row["box"]) == ("grace_hopper.jpg", "1", "haar-frontal")
         landmarks = [[float(row[f"{axis}{i}"]) for axis in "xy"] for i in range(1, 69)]
-        np.testing.assert_allclose(landmarks, told[3]["faces"][0]["landmarks"])
+        np.testing.assert_allclose(landmarks, saved[3]["faces"][0]["landmarks"])
         page.get_by_role("button", name="Remove all").click()
         assert page.get_by_text("Drop pictures here").is_visible()
         assert page.locator("#side").is_hidden()
@@ -243,7 +246,7 @@ def test_the_webcam(server: Server, opened: Callable) -> None:
         assert page.get_by_role("status").text_content() == "Ready"
 
 
-def test_a_refused_webcam_is_told(server: Server, opened: Callable) -> None:
+def test_a_refused_webcam_is_said(server: Server, opened: Callable) -> None:
     with opened(server) as page:
         page.evaluate(
             "() => { const no = new DOMException('no', 'NotAllowedError');"
@@ -253,7 +256,7 @@ def test_a_refused_webcam_is_told(server: Server, opened: Callable) -> None:
         page.get_by_text("The browser may not use the camera").wait_for()
 
 
-def test_a_server_that_is_gone_comes_back(browser, opened: Callable, portrait_file: Path) -> None:
+def test_a_server_that_is_gone_comes_back(opened: Callable, portrait_file: Path) -> None:
     with running() as server:
         port = server.port
         show = opened(server)
