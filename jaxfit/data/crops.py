@@ -56,18 +56,16 @@ class Crops:
         return cls(frame, pixels, np.ones(count), np.zeros((count, 2)))
 
     @classmethod
-    def join(cls, parts: Sequence["Crops"]) -> "Crops":
-        """Crops of one frame, one after the other."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(parts[0].frame, *map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
+    def of(cls, crops: Sequence[Crop | str], frame: Frame) -> "Crops":
+        """Crops that were cut; where there is a reason in place of one, it is black."""
+        made = cls.empty(len(crops), frame)
+        for row, crop in enumerate(crops):
+            if not isinstance(crop, str):
+                made.pixels[row], made.scale[row], made.offset[row] = crop
+        return made
 
     def __len__(self) -> int:
         return len(self.pixels)
-
-    def __getitem__(self, chosen: slice | np.ndarray) -> "Crops":
-        """Some of the crops."""
-        return Crops(self.frame, *(values[chosen] for values in self.arrays))
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
