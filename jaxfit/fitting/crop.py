@@ -16,6 +16,7 @@ from jaxfit.models.model import SQUARE, Model
 
 _TOGETHER = 16  # pictures that a thread cuts before it hands them on
 
+
 def crop_faces(
     model: Model,
     images: Images,
