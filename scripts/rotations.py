@@ -109,6 +109,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
         "the picture in degrees."
     )
     report.table(rows, columns, above=about)
+    report.title = "Pictures turned in the plane"
     draw(rows, arguments.degrees, folder / "rotations.png")
 
 

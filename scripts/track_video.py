@@ -145,6 +145,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
     )
     formats = {"method": "", "good": ".1%", "fair": ".1%", "switches": "d", "again": "", "false": ".1f"}
     formats |= {"jitter": ".4f", "lag": ".0f", "moving NMED": ".4f", "frames/s": ".0f"}
+    report.title = "Faces tracked through videos"
     report.table(by_method, formats, above=about)
     report.table(by_motion, {"motion": "", **dict.fromkeys(methods, "")})
 

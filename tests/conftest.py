@@ -21,9 +21,17 @@ settings.load_profile("jaxfit")
 install_import_hook("jaxfit", "beartype.beartype")
 
 
+# What starts processes, a browser or notebooks, or trains whole models: left out of `make check`.
+SLOW_FOLDERS = {"cli", "experiments", "learning", "runs", "scripts", "serving"}
+SLOW_FILES = {"test_contributing", "test_notebooks", "test_packages", "test_readme", "test_site"}
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest file comes first, so that no worker is left with it alone at the end."""
     items.sort(key=lambda item: item.path.stem != "test_readme")
+    for item in items:
+        if item.path.parent.name in SLOW_FOLDERS or item.path.stem in SLOW_FILES:
+            item.add_marker("slow")
 
 
 @pytest.fixture(scope="session")

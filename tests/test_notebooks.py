@@ -82,7 +82,7 @@ def test_uses_public_names(path: Path) -> None:
 
 
 def test_private_names_are_found() -> None:
-    code = "from jaxfit.data import crops, read_image\nimport jaxfit\njaxfit.data.Crops.join(jaxfit.shapes.SPACES)"
+    code = "from jaxfit.data import crops, read_image\nimport jaxfit\njaxfit.data.Crops.of(jaxfit.shapes.SPACES)"
     assert private_names(code) == {"jaxfit.data.crops", "jaxfit.shapes.SPACES"}
 
 

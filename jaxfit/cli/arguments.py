@@ -65,8 +65,8 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     command.add_argument(
         "--boxes",
         metavar="FILE.csv",
-        help=f"face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces are turned; image "
-        f"is the file's name; without it, {otherwise}",
+        help="face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces are "
+        f"turned; image is the file's name; without it, {otherwise}",
     )
     command.add_argument(
         "--box-kind",

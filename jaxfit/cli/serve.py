@@ -34,7 +34,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--detector",
         nargs="+",
         metavar="SPEC",
-        help=f"what finds the faces, to choose from: {known_detectors()} (default: yunet, haar, whole, and dlib if installed)",
+        help=f"what finds the faces, to choose from: {known_detectors()} "
+        "(default: yunet, haar, whole, and dlib if installed)",
     )
     command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")

@@ -76,8 +76,8 @@ class GivenBox(NamedTuple):
 
 
 def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
-    """Boxes by the picture's file name, from a CSV file with the columns image, x, y, width and height, and rotation, in
-    degrees, if faces are turned.
+    """Boxes by the picture's file name, from a CSV file with the columns image, x, y, width and height, and
+    rotation, in degrees, if faces are turned.
 
     Columns may come in any order and beside others; of ``image`` only the file name counts.
 

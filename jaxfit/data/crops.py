@@ -1,7 +1,7 @@
 """Fixed-size grey crops around faces, and the way from crop pixels to image pixels and back.
 
-A crop is an evenly scaled and turned part of its image: image point = ``scale`` · R · crop point + ``offset``, with R the
-rotation by ``rotation``.
+A crop is an evenly scaled and turned part of its image: image point = ``scale`` · R · crop point + ``offset``, with R
+the rotation by ``rotation``.
 Where to cut is worked out in plain numbers: on arrays of two it takes as long as the cutting.
 """
 
@@ -61,18 +61,16 @@ class Crops:
         return cls(frame, pixels, np.ones(count), np.zeros((count, 2)), np.zeros(count))
 
     @classmethod
-    def join(cls, parts: Sequence["Crops"]) -> "Crops":
-        """Crops of one frame, one after the other."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(parts[0].frame, *map(np.concatenate, zip(*(part.arrays for part in parts), strict=True)))
+    def of(cls, crops: Sequence[Crop | str], frame: Frame) -> "Crops":
+        """Crops that were cut; where there is a reason in place of one, it is black."""
+        made = cls.empty(len(crops), frame)
+        for row, crop in enumerate(crops):
+            if not isinstance(crop, str):
+                made.pixels[row], made.scale[row], made.offset[row], made.rotation[row] = crop
+        return made
 
     def __len__(self) -> int:
         return len(self.pixels)
-
-    def __getitem__(self, chosen: slice | np.ndarray) -> "Crops":
-        """Some of the crops."""
-        return Crops(self.frame, *(values[chosen] for values in self.arrays))
 
     @property
     def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -101,8 +99,8 @@ def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, ro
 def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame, rotation: float = 0.0) -> Crop:
     """The crop of a grey picture, uint8 (H, W), that shows a face upright and at the frame's size in its middle.
 
-    Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift``, along
-    the crop's axes, from the pixels that they mark.
+    Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift``,
+    along the crop's axes, from the pixels that they mark.
 
     Args:
         grey: (H, W) uint8.

@@ -172,8 +172,8 @@ def solid_points(row: Row) -> np.ndarray | None:
 
 
 def draw_name(rgb: np.ndarray, name: str, box: np.ndarray, ok: bool = True) -> np.ndarray:
-    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,); in orange if its
-    fit is not ok."""
+    """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,); in orange if
+    its fit is not ok."""
     canvas = _canvas(rgb, None)
     height = 0.0025 * min(box[2], max(canvas.shape))  # of the letters, in those of OpenCV's font
     width = max(1, round(2 * height))

@@ -6,13 +6,15 @@ from functools import partial
 
 from numpy.typing import ArrayLike
 
-from jaxfit.data.crops import Crops
+from jaxfit.data.crops import Crop, Crops
 from jaxfit.data.pictures import Images, Read, require_several
 from jaxfit.data.threads import in_order, reading_threads
-from jaxfit.fitting.fit import sources_of
+from jaxfit.fitting.fit import name_of, sources_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Pipeline, cut_source
+from jaxfit.fitting.stream import Pipeline, Source, cut_source
 from jaxfit.models.model import SQUARE, Model
+
+_TOGETHER = 16  # pictures that a thread cuts before it hands them on
 
 
 def crop_faces(
@@ -42,11 +44,16 @@ def crop_faces(
     require_several(images)
     pipeline = Pipeline(model, read=read)
     sources = sources_of(model, images, boxes, kind)
-    parts, problems, row = [Crops.empty(0, model.cascade.frame)], [], 0
-    work = (partial(cut_source, pipeline, source) for source in sources)
-    with closing(in_order(work, reading_threads(len(sources)))) as cut_sources:
-        for source, (crops, why) in zip(sources, cut_sources, strict=True):
-            parts.append(crops)
-            problems += [Problem(row + face, source.name, reason, row + face) for face, reason in why.items()]
-            row += len(crops)
-    return Crops.join(parts), tuple(problems)
+    work = (partial(_cut_some, pipeline, sources[at : at + _TOGETHER]) for at in range(0, len(sources), _TOGETHER))
+    faces: list[Crop | str] = []
+    with closing(in_order(work, reading_threads(len(sources)))) as parts:
+        for part in parts:
+            faces += part
+    problems = tuple(
+        Problem(row, name_of(images[row]), face, row) for row, face in enumerate(faces) if isinstance(face, str)
+    )
+    return Crops.of(faces, model.cascade.frame), problems
+
+
+def _cut_some(pipeline: Pipeline, sources: Sequence[Source]) -> list[Crop | str]:
+    return [face for source in sources for face in cut_source(pipeline, source)]

@@ -7,11 +7,14 @@ batches, and what they give comes back in order. A few pictures and batches are 
 are.
 """
 
+import math
+from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
+from threading import Lock, Semaphore
 from typing import Any, NamedTuple
 
 import jax
@@ -23,13 +26,12 @@ from jaxfit.cascade.fit import find
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_problem
-from jaxfit.data.crops import Crops, cut
+from jaxfit.data.crops import Crop, Crops, cut_face
 from jaxfit.data.detectors import Detector
 from jaxfit.data.pictures import Image, Read, pixels, read_image, read_upright, to_eight_bits, to_grey
 from jaxfit.data.threads import cores, in_order, reading_threads
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fits import Fits, Problem
-from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.shapes.pose_order import turned_poses
 from jaxfit.shapes.space import ShapeSpace3D
@@ -40,7 +42,7 @@ BATCHES = (64, 8, 1)
 NO_FACE = "no face found; give face boxes, or take another detector"  # the problem of a picture without one
 NO_BOX = "there is no face box"
 _MOST_AT_ONCE = 8  # batches that are computed at once; each holds a batch and its descriptors
-_FOUND_TOGETHER, _CUT_TOGETHER = 4, 16  # pictures that a thread looks through, or cuts, before it hands them on
+_FOUND_TOGETHER = 4  # pictures that a thread looks through before it hands them on
 
 Progress = Callable[[str, int, int], None]
 _Found = dict[str, np.ndarray]  # what is found in a batch, by its name in `Fits`
@@ -110,25 +112,34 @@ def stream(
         pictures: how many there are in all groups.
         progress: called with the stage's name, pictures looked through and pictures in all.
     """
-    threads = reading_threads(pictures)
-    compute = _computing(pipeline)
+    threads, frame = reading_threads(pictures), pipeline.model.cascade.frame
+    compute, free = _computing(pipeline), Semaphore(computed_at_once())
     device: Any = getattr(jax.config, "jax_default_device")  # noqa: B009 - not in its stubs; threads do not know it
+    done = 0
+
+    def report(some: Sequence[_Picture]) -> None:
+        nonlocal done
+        done += len(some)
+        progress("fitting", done, pictures)
 
     def fit_batch(batch: _Batch) -> tuple[_Batch, _Found]:
-        if not len(batch.rows):
+        cut = [picture.look().faces[number] for picture, number in batch.faces]
+        if all(isinstance(crop, str) for crop in cut):
             return batch, {}
-        with jax.default_device(device):
-            found = compute(batch.crops.pixels)
-            return batch, {name: np.asarray(values) for name, values in found.items()}
+        crops = Crops.of(cut, frame)
+        with free, jax.default_device(device):
+            found = {name: np.asarray(values) for name, values in compute(crops.pixels).items()}
+        return batch, in_pictures(crops, found)
 
-    progress("fitting", 0, pictures)
+    report([])
     with (
         closing(in_order(_looking(pipeline, groups), threads)) as looked,
-        closing(_batches(pipeline.model, looked, pictures, progress)) as batches,
-        closing(in_order((partial(fit_batch, batch) for batch in batches), computed_at_once())) as computed,
+        closing(_batches(pipeline.model, looked, report)) as batches,
+        closing(in_order((partial(fit_batch, batch) for batch in batches), threads)) as computed,
     ):
         for batch, found in computed:
             batch.group.put(batch, found)
+            report([picture for picture in batch.pictures if not picture.searched])
             if batch.last:
                 yield batch.group.fits()
 
@@ -137,42 +148,71 @@ class _Looked(NamedTuple):
     """A picture that was read, looked through and cut.
 
     Attributes:
-        name: what it is called.
         size: its width and height; zeros if it could not be read.
         boxes: (n, 4) of its faces.
         kinds: what drew them.
         rotations: (n,) how far each face is turned, in degrees.
-        crops: one a face; black where it could not be cut.
-        problems: why a face could not be cut, by its number.
+        faces: the crop of each, or why it could not be cut.
         why: why there is no face in the picture; empty if there are some.
     """
 
-    name: str
     size: tuple[int, int]
     boxes: np.ndarray
     kinds: tuple[str, ...]
     rotations: np.ndarray
-    crops: Crops
-    problems: dict[int, str]
+    faces: Sequence[Crop | str]
     why: str = ""
 
 
-class _LookedSome(NamedTuple):
+class _Picture:
+    """A picture that is read, looked through and cut by whichever thread first asks for it, and only once.
+
+    Attributes:
+        name: what it is called.
+        searched: whether its faces are looked for.
+    """
+
+    def __init__(self, pipeline: Pipeline, source: Source):
+        self.name, self.searched = source.name, source.boxes is None
+        self._source, self._pipeline = source, pipeline
+        self._looked: _Looked | None = None
+        self._lock = Lock()
+
+    def look(self) -> _Looked:
+        """What is seen in it."""
+        with self._lock:
+            if self._looked is None:
+                self._looked = _look(self._pipeline, self._source)
+            return self._looked
+
+    def __len__(self) -> int:
+        """How many faces it has; where they are looked for, it takes the look."""
+        return len(self.look().boxes if self._source.boxes is None else self._source.boxes)
+
+
+class _Some(NamedTuple):
     """Some pictures of a group, and whether they are its last."""
 
-    pictures: list[_Looked]
+    pictures: list[_Picture]
     last: bool
 
 
-def _looking(pipeline: Pipeline, groups: Iterable[Sequence[Source]]) -> Iterator[Callable[[], _LookedSome]]:
-    """The work of looking through pictures, a few of one group at a time."""
+def _looking(pipeline: Pipeline, groups: Iterable[Sequence[Source]]) -> Iterator[Callable[[], _Some]]:
+    """The work of looking through pictures, a few of one group at a time.
 
-    def look_at(sources: Sequence[Source], last: bool) -> _LookedSome:
-        return _LookedSome([_look(pipeline, source) for source in sources], last)
+    Where all faces of a group are known, whoever fits them reads the pictures: to hand them over takes time.
+    """
+
+    def look_at(sources: Sequence[Source], last: bool) -> _Some:
+        some = [_Picture(pipeline, source) for source in sources]
+        for picture in some:
+            if picture.searched:
+                picture.look()
+        return _Some(some, last)
 
     for group in groups:
         searched = any(source.boxes is None for source in group)
-        together = _FOUND_TOGETHER if searched else _CUT_TOGETHER
+        together = _FOUND_TOGETHER if searched else max(1, len(group))
         for first in range(0, max(1, len(group)), together):
             yield partial(look_at, group[first : first + together], first + together >= len(group))
 
@@ -228,99 +268,72 @@ def _look(pipeline: Pipeline, source: Source) -> _Looked:
     """Read a picture, find its faces unless they are known, and cut them."""
     picture, boxes, kinds, rotations, why = see(source, pipeline.detector, pipeline.read)
     if picture is None:
-        crops = Crops.empty(len(boxes), pipeline.model.cascade.frame)
-        unread = dict.fromkeys(range(len(boxes)), why)
-        return _Looked(source.name, (0, 0), boxes, kinds, rotations, crops, unread, why)
-    crops, problems = _cut_faces(pipeline.model, to_grey(picture), boxes, kinds, rotations)
-    size = (picture.shape[1], picture.shape[0])
-    return _Looked(source.name, size, boxes, kinds, rotations, crops, problems, why)
+        return _Looked((0, 0), boxes, kinds, rotations, [why] * len(boxes), why)
+    grey = to_grey(picture)
+    faces = [_cut(pipeline.model, grey, *face) for face in zip(boxes, kinds, rotations, strict=True)]
+    return _Looked((picture.shape[1], picture.shape[0]), boxes, kinds, rotations, faces, why)
 
 
-def cut_source(pipeline: Pipeline, source: Source) -> tuple[Crops, dict[int, str]]:
-    """The crops of a picture that comes with boxes; black, with a reason by the face's number, where there is none."""
-    looked = _look(pipeline, source)
-    return looked.crops, looked.problems
+def cut_source(pipeline: Pipeline, source: Source) -> Sequence[Crop | str]:
+    """The crops of a picture that comes with boxes, or why there is none."""
+    return _look(pipeline, source).faces
 
 
-def _cut_faces(
-    model: Model, grey: np.ndarray, boxes: np.ndarray, kinds: Sequence[str], rotations: np.ndarray
-) -> tuple[Crops, dict[int, str]]:
-    """The crops (n) of the faces in boxes (n, 4) of a grey picture, uint8 (H, W), turned by rotations (n,) in degrees;
-    black, with a reason by the face's number, where there is nothing to cut."""
-    crops = Crops.empty(len(boxes), model.cascade.frame)
-    problems: dict[int, str] = {}
-    for row, (box, kind, rotation) in enumerate(zip(boxes, kinds, np.radians(rotations).tolist(), strict=True)):
-        if np.isnan(box).all():
-            problems[row] = NO_BOX
-        elif complaint := box_problem(box, grey.shape):
-            problems[row] = complaint
-        else:
-            cut(grey, *model.placement(kind).face_in(box, rotation), crops, row, rotation)
-    return crops, problems
+def _cut(model: Model, grey: np.ndarray, box: np.ndarray, kind: str, degrees: float) -> Crop | str:
+    """The crop of the face in a box (4,), turned by so much, of a grey picture, uint8 (H, W); or why there is none."""
+    if np.isnan(box).all():
+        return NO_BOX
+    if complaint := box_problem(box, grey.shape):
+        return complaint
+    rotation = math.radians(degrees)
+    return cut_face(grey, *model.placement(kind).face_in(box, rotation), model.cascade.frame, rotation)
+
+
+class _Face(NamedTuple):
+    """A face of a picture, by its number there."""
+
+    picture: _Picture
+    number: int
 
 
 class _Batch(NamedTuple):
-    """Crops of some faces of a group.
+    """Some faces of a group, which are fitted together.
 
     Attributes:
         group: whose faces.
-        rows: of the faces among the group's.
-        crops: of these faces.
+        faces: in the order of the group's.
+        pictures: the pictures that begin with these faces, or have none.
         last: whether they are the group's last.
     """
 
     group: "_Group"
-    rows: np.ndarray
-    crops: Crops
+    faces: list[_Face]
+    pictures: list[_Picture]
     last: bool
 
 
 def _batches(
-    model: Model, looked: Iterable[_LookedSome], pictures: int, progress: Progress
+    model: Model, looked: Iterable[_Some], report: Callable[[Sequence[_Picture]], None]
 ) -> Generator[_Batch, None, None]:
-    """The crops of looked-through pictures, in batches of the sizes that are compiled, large ones first.
+    """Batches of the sizes that are compiled, large ones first; searched pictures are reported when they come.
 
-    A group's crops are split as `batches_of` splits their number; large batches do not wait for the group's end.
+    A group's faces are split as `batches_of` splits their number; large batches do not wait for the group's end.
     """
-    group, waiting, done = _Group(model), _Waiting(model.cascade.frame), 0
+    group = _Group(model)
     large = batch_sizes()[0]
-    enough = several = large * _least(large)  # waiting crops from which large batches are used
+    enough = several = large * _least(large)  # waiting faces from which large batches are used
     for some in looked:
         for picture in some.pictures:
-            waiting.add(*group.add(picture))
-        done += len(some.pictures)
-        progress("fitting", done, pictures)
-        while len(waiting) >= enough:
-            enough = large
-            yield _Batch(group, *waiting.take(large), last=False)
+            group.add(picture)
+            while group.waiting >= enough:
+                enough = large
+                yield group.take(large)
+        report([picture for picture in some.pictures if picture.searched])
         if some.last:
-            sizes = batches_of(len(waiting)) or [0]
+            sizes = batches_of(group.waiting) or [0]
             for number, size in enumerate(sizes, 1):
-                yield _Batch(group, *waiting.take(size), last=number == len(sizes))
+                yield group.take(size, last=number == len(sizes))
             group, enough = _Group(model), several
-
-
-class _Waiting:
-    """Crops that wait for a batch."""
-
-    def __init__(self, frame: Frame):
-        self._rows = np.empty(0, int)
-        self._crops = [Crops.empty(0, frame)]
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def add(self, rows: np.ndarray, crops: Crops) -> None:
-        """Crops of faces with these numbers."""
-        self._rows = np.concatenate([self._rows, rows])
-        self._crops.append(crops)
-
-    def take(self, count: int) -> tuple[np.ndarray, Crops]:
-        """The first so many: their numbers and crops."""
-        rows, self._rows = np.split(self._rows, [count])
-        crops = Crops.join(self._crops)
-        self._crops = [crops[count:]]
-        return rows, crops[:count]
 
 
 class _Group:
@@ -328,6 +341,8 @@ class _Group:
 
     def __init__(self, model: Model):
         self._model = model
+        self._faces: deque[_Face | _Picture] = deque()  # that wait for a batch; pictures stand before their faces
+        self.waiting = 0  # faces
         self._names: list[str] = []
         self._sizes: list[tuple[int, int]] = []
         self._boxes: list[np.ndarray] = [np.empty((0, 4))]
@@ -335,41 +350,56 @@ class _Group:
         self._rotations: list[np.ndarray] = [np.empty(0)]
         self._pictures: list[int] = []
         self._problems: list[Problem] = []
-        self._found: list[tuple[np.ndarray, _Found]] = []
+        self._found: list[_Found] = [self._nothing(0)]
 
-    def add(self, picture: _Looked) -> tuple[np.ndarray, Crops]:
-        """A looked-through picture; returns the numbers and crops of its faces that can be fitted."""
-        number, first, count = len(self._names), len(self._pictures), len(picture.boxes)
-        self._names.append(picture.name)
-        self._sizes.append(picture.size)
-        self._boxes.append(picture.boxes)
-        self._kinds += picture.kinds
-        self._rotations.append(picture.rotations)
-        self._pictures += [number] * count
-        if not count:
-            self._problems.append(Problem(number, picture.name, picture.why))
-        for row, why in picture.problems.items():
-            self._problems.append(Problem(number, picture.name, why, first + row))
-        whole = np.array([row for row in range(count) if row not in picture.problems], int)
-        return first + whole, picture.crops if len(whole) == count else picture.crops[whole]
+    def add(self, picture: _Picture) -> None:
+        """A picture, whose faces wait for a batch."""
+        self._faces.append(picture)
+        self._faces += [_Face(picture, number) for number in range(len(picture))]
+        self.waiting += len(picture)
+
+    def take(self, count: int, last: bool = False) -> _Batch:
+        """The next batch, of so many faces; the last has the pictures behind them, too."""
+        batch = _Batch(self, [], [], last)
+        while self._faces and (len(batch.faces) < count or last):
+            face = self._faces.popleft()
+            if isinstance(face, _Picture):
+                batch.pictures.append(face)
+            else:
+                batch.faces.append(face)
+        self.waiting -= count
+        return batch
 
     def put(self, batch: _Batch, found: _Found) -> None:
-        """What was found in a batch."""
-        if found:
-            self._found.append((batch.rows, in_pictures(batch.crops, found)))
+        """What was found in a batch; batches come in order."""
+        for picture in batch.pictures:
+            looked, number, first = picture.look(), len(self._names), len(self._pictures)
+            self._names.append(picture.name)
+            self._sizes.append(looked.size)
+            self._boxes.append(looked.boxes)
+            self._kinds += looked.kinds
+            self._rotations.append(looked.rotations)
+            self._pictures += [number] * len(looked.boxes)
+            if not len(looked.boxes):
+                self._problems.append(Problem(number, picture.name, looked.why))
+            for row, face in enumerate(looked.faces, first):
+                if isinstance(face, str):
+                    self._problems.append(Problem(number, picture.name, face, row))
+        self._found.append(found or self._nothing(len(batch.faces)))
+
+    def _nothing(self, count: int) -> _Found:
+        """What is found of faces that could not be cut."""
+        return {name: np.full((count, *shape), np.nan) for name, shape in _shapes(self._model).items()}
 
     def fits(self) -> Fits:
         """The fits, when all batches have come."""
-        count = len(self._pictures)
-        arrays = {name: np.full((count, *shape), np.nan) for name, shape in _shapes(self._model).items()}
-        for rows, found in self._found:
-            for name, values in found.items():
-                arrays[name][rows] = values
+        arrays = {name: np.concatenate([found[name] for found in self._found]) for name in self._nothing(0)}
         finite = np.all([np.isfinite(values).all((*range(1, values.ndim),)) for values in arrays.values()], 0)
+        known = [problem.row for problem in self._problems if problem.row is not None]
+        finite[known] = False
         for values in arrays.values():
             values[~finite] = np.nan
-        known = {problem.row for problem in self._problems}
-        diverged = [row for row in map(int, np.flatnonzero(~finite)) if row not in known]
+        diverged = sorted({*map(int, np.flatnonzero(~finite))} - {*known})
         problems = self._problems + [
             Problem(self._pictures[row], self._names[self._pictures[row]], "the fit diverged", row) for row in diverged
         ]

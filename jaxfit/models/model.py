@@ -52,14 +52,14 @@ class Model:
         how = f"{self.training.get('method', 'trained')} in {len(self.cascade.weights)} steps"
         return f"<jaxfit model: {', '.join(knows)}; {how} on {self.cascade.descriptor}>"
 
-    @property
+    @cached_property  # to ask a space for its methods takes long
     def space_3d(self) -> ShapeSpace3D | None:
         """The shape space of the model's 3D results; None if it has none."""
         return space_3d_of(self.cascade, self.aligned)
 
     @cached_property
     def mean_face(self) -> np.ndarray:
-        """(L, 2) float32: the mean face, upright and seen from the front, in crop pixels, its centroid at the origin."""
+        """(L, 2) float32: the mean face, upright and seen from the front, in crop pixels, its centroid at 0."""
         space = self.cascade.space
         mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
         return np.asarray(mean - mean.mean(0))
@@ -69,7 +69,7 @@ class Model:
         """The starts that the model was trained for; a single one if it does not say."""
         return Starts(self.training.get("initialisations", 1), *self.training.get("rotations", ()))
 
-    @property
+    @cached_property
     def known_placements(self) -> dict[str, Placement]:
         """For each kind of box that the model can start from, where faces lie in it: what was measured on other faces
         with the same landmarks, or better, in training."""

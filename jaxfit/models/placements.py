@@ -36,8 +36,8 @@ class Placement:
     spread: Spread
 
     def face_in(self, box: np.ndarray, rotation: float = 0.0) -> tuple[np.ndarray, float]:
-        """The expected centre (2,) and size, in pixels of the picture, of the face in a box (4,), which is turned in the
-        picture by ``rotation``, in radians, clockwise as seen. Its size in the box hardly depends on that."""
+        """The expected centre (2,) and size, in pixels of the picture, of the face in a box (4,), which is turned in
+        the picture by ``rotation``, in radians, clockwise as seen. Its size in the box hardly depends on that."""
         x, y, width, height = box.tolist()  # plain numbers: on arrays of two it takes as long as much of the cutting
         side = (width + height) / 2
         right, down = self.shift

@@ -12,7 +12,6 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
-from jaxfit.data.pictures import NAMELESS
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError

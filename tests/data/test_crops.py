@@ -172,49 +172,17 @@ def test_a_batch_holds_what_single_crops_are():
     np.testing.assert_allclose(crops.from_images(crops.to_images(points, rows), rows), points)
 
 
-def filled(count, seed=0):
-    """Crops of noise with scales and offsets of their own."""
-    rng = np.random.default_rng(seed)
-    crops = Crops.empty(count, FRAME)
-    for row in range(count):
-        cut(rng.integers(0, 256, (80, 90), np.uint8), rng.uniform(20, 60, 2), rng.uniform(20, 100), crops, row)
-    return crops
-
-
-def assert_same(one, other):
-    assert one.frame == other.frame
-    for some, others in zip(one.arrays, other.arrays, strict=True):
-        np.testing.assert_array_equal(some, others, strict=True)
-
-
-@pytest.mark.parametrize(
-    "chosen",
-    [slice(None), slice(1, 4), slice(None, None, -2), slice(2, 2), np.array([4, 0, 0]), np.arange(5) % 2 == 0],
-    ids=str,
-)
-def test_some_crops_keep_their_pixels_and_their_maps(chosen):
-    crops = filled(5)
-    some, rows = crops[chosen], np.arange(5)[chosen]
-    assert len(some) == len(rows)
-    assert some.frame == crops.frame
-    for values, whole in zip(some.arrays, crops.arrays, strict=True):
-        np.testing.assert_array_equal(values, whole[rows], strict=True)
-    points = np.random.default_rng(1).uniform(0, 64, (len(rows), 3, 2))
-    np.testing.assert_array_equal(some.to_images(points), crops.to_images(points, rows))
-    np.testing.assert_array_equal(some.from_images(points), crops.from_images(points, rows))
-
-
-@pytest.mark.parametrize("sizes", [(5,), (2, 3), (0, 5), (1, 0, 4), (1, 1, 1, 1, 1)], ids=str)
-def test_joined_parts_are_the_whole(sizes):
-    crops, ends = filled(5), np.cumsum(sizes)
-    parts = [crops[end - size : end] for size, end in zip(sizes, ends, strict=True)]
-    assert_same(Crops.join(parts), crops)
-
-
-def test_empty_crops_are_black_and_join_to_none():
-    none = Crops.join([Crops.empty(0, FRAME), Crops.empty(0, FRAME)])
-    assert len(none) == 0
-    black = Crops.empty(2, FRAME)
-    assert_same(Crops.join([none, black]), black)
-    assert not black.pixels.any()
-    np.testing.assert_array_equal(black.to_images(np.ones((2, 3, 2))), 1)
+def test_crops_that_were_cut_make_a_batch_with_black_ones_where_there_are_reasons():
+    rng = np.random.default_rng(0)
+    one, other = (
+        cut_face(rng.integers(0, 256, (80, 90), np.uint8), rng.uniform(20, 60, 2), float(rng.uniform(20, 100)), FRAME)
+        for _ in range(2)
+    )
+    crops = Crops.of([one, "there is no face box", other], FRAME)
+    for row, crop in ((0, one), (2, other)):
+        np.testing.assert_array_equal(crops.pixels[row], crop.pixels, strict=True)
+        assert crops.scale[row] == crop.scale
+        np.testing.assert_array_equal(crops.offset[row], crop.offset)
+    assert not crops.pixels[1].any()
+    np.testing.assert_array_equal(crops.to_images(np.ones((1, 3, 2)), np.array([1])), 1)
+    assert len(Crops.of([], FRAME)) == 0

@@ -1,5 +1,8 @@
 """Rows of faces: flat ones and those of tables hold the same values under the same names, in one order."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="arg-type,unused-ignore"
+
 from itertools import product
 
 import numpy as np

@@ -1,5 +1,8 @@
 """Figures show what they were given, curves, modes, descriptors, surfaces, and say what to install when they cannot."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="arg-type,attr-defined,operator,union-attr"
+
 import sys
 from collections.abc import Callable, Iterator
 from functools import partial

@@ -37,7 +37,7 @@ def test_paths_may_have_colons_and_the_name_is_kept(tmp_path):
         ("pts:lfpw68", "ibug68", 805, 805, 805),
         ("pts:helen68", "ibug68", 870, None, 870),
         ("pts:ytf68", "ibug68", 2757, 275, 2757),
-        ("aflw:aflw", "aflw21", 3403, None, 1309),
+        ("aflw:aflw", "aflw21", 15461, None, 1309),
         ("lfpw:lfpw29/kbvt_lfpw_v1.csv", "lfpw29", 121, 121, 121),
     ],
 )

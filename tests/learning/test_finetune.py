@@ -1,5 +1,8 @@
 """Fine-tuning models on labelled faces: in 2D and 3D, with hidden points, people kept aside, killed and resumed."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="arg-type"
+
 from collections.abc import Sequence
 from dataclasses import replace
 from importlib import import_module

@@ -1,5 +1,8 @@
 """The bundled 3D models on real pictures: poses as they are seen, alike in mirror images and from both methods."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="arg-type"
+
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,5 +1,8 @@
 """Saving and loading is the identity; whatever a file holds, loading it gives a model or a ModelError."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="attr-defined"
+
 import itertools
 import os
 import pickle

@@ -1,5 +1,8 @@
 """The 3D methods' shape space: exact faces come back, heads turn as pictures do, and poses have their signs."""
 
+# What may be None or has many types in the library has one here, which the assertions show.
+# mypy: disable-error-code="misc"
+
 import jax
 import numpy as np
 import pytest
