@@ -101,7 +101,7 @@ def cut_crops(model: Model, frame: Frame, faces: Sequence[FaceRecord], boxes: np
     crops, problems = jaxfit.crop_faces(framed, [face.image for face in faces], boxes, read=read_grey)
     uncut = {problem.row for problem in problems}
     numbers = np.array([number for number in range(len(faces)) if number not in uncut], int)
-    return Crops(frame, crops.pixels[numbers], crops.scale[numbers], crops.offset[numbers]), numbers
+    return Crops(frame, *(values[numbers] for values in crops.arrays)), numbers
 
 
 def rectangles(crops: Crops, boxes: np.ndarray) -> np.ndarray:

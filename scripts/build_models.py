@@ -20,8 +20,8 @@ SCRIPTS = Path(__file__).resolve().parent
 
 # In commands, {faces} are the 68-point faces, {data} and {out} the folders.
 _WINDOWS = "--windows 0.45 0.36 0.28 0.22 0.18 0.15"
-_DENSE = f"--descriptor dense {_WINDOWS} --no-haar"
-_ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-haar"
+_DENSE = f"--descriptor dense {_WINDOWS} --no-detectors"
+_ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-detectors"
 _WITHOUT = "--without aflw2000-all:{data}/aflw2000"
 _LIFTED = f"--lift aflw+0.5:{{data}}/aflw {_WITHOUT}"
 _TURNED = f"{_LIFTED} --lift-yaw 30"
@@ -72,7 +72,7 @@ RECIPES: dict[str, list[str]] = {
     ],
     "alignment68-3d": [
         *_RENDERED,
-        f"{_WIDE} --method alignment3d --shape-variance 0.998 --no-haar --out {{out}}/alignment68-3d.safetensors",
+        f"{_WIDE} --method alignment3d --shape-variance 0.998 --no-detectors --out {{out}}/alignment68-3d.safetensors",
     ],
 }
 

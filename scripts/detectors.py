@@ -27,7 +27,9 @@ def main() -> int:
     parser = script_parser(__doc__)
     parser.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     add_datasets(parser)
-    parser.add_argument("--detectors", nargs="+", default=["haar", "dlib", "whole"], help="as in jaxfit evaluate")
+    parser.add_argument(
+        "--detectors", nargs="+", default=["yunet", "haar", "dlib", "whole"], help="as in jaxfit evaluate"
+    )
     return measure(run, parser.parse_args())
 
 
@@ -41,7 +43,8 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
         squares = start_boxes(faces)
         for name in [None, *arguments.detectors]:
             begin = time.perf_counter()
-            boxes, kinds = (squares, ["square"] * len(faces)) if name is None else detected_boxes(faces, name, bars)
+            found = detected_boxes(faces, name, progress=bars) if name is not None else None
+            boxes, kinds, rotations = found or (squares, ["square"] * len(faces), np.zeros(len(faces)))
             seconds = time.perf_counter() - begin
             row: dict[str, object] = {
                 "boxes": "perturbed squares" if name is None else detector_named(name).kinds[0].partition("-")[0],
@@ -49,7 +52,9 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
                 "ms to find": None if name is None else 1000 * seconds / len(faces),
             }
             for passes in PASSES:
-                errors = evaluate(model, faces, boxes, kind=kinds, passes=passes, progress=bars).errors
+                errors = evaluate(
+                    model, faces, boxes, kind=kinds, rotations=rotations, passes=passes, progress=bars
+                ).errors
                 summary = summarise(errors)
                 row |= {f"median, {passes}": summary.median, f"failure@0.08, {passes}": summary.failure}
             rows.append(row)

@@ -292,7 +292,7 @@ def _small_model(folder: Path) -> jaxfit.Model:
         faces.append(
             FaceRecord(folder / f"face{number}.png", points, present, present, None, None, str(number), str(number))
         )
-    options = Options(greedy=Greedy(windows=(0.3,), augmentations=1, rank=2), haar=False)
+    options = Options(greedy=Greedy(windows=(0.3,), augmentations=1, rank=2), detectors=False)
     return train(faces, IBUG68, options=options).model
 
 

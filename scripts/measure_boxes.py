@@ -10,6 +10,7 @@ import sys
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_datasets(parser)
     parser.add_argument("--lift", nargs="+", default=[], metavar="SPEC", help="datasets of other landmarks")
-    parser.add_argument("--detectors", nargs="+", default=["haar", "dlib", "whole"], help="as in jaxfit fit")
+    parser.add_argument("--detectors", nargs="+", default=["yunet", "haar", "dlib", "whole"], help="as in jaxfit fit")
     parser.add_argument("--out", default=str(Path(placements.__file__).with_name("placements.json")))
     return exit_code(run, parser.parse_args())
 
@@ -52,13 +53,13 @@ def run(arguments: argparse.Namespace) -> int:
     known = json.loads(out.read_text("utf-8")) if out.exists() else {}
     for spec in arguments.detectors:
         with Bars() as bars:
-            boxes, kinds = detected_boxes(faces, spec, bars)
+            boxes, kinds, rotations = detected_boxes(faces, spec, progress=bars)
         print(f"{spec}: {np.isfinite(boxes).all(1).sum()} of {len(faces)} faces found")
         for other in convertible(scheme):
             labels = convert(np.stack([face.landmarks for face in faces]), scheme, other)
             of_scheme = known.setdefault(other.name, {})
             # What was measured on a scheme's own labels is not replaced by converted ones.
-            of_scheme |= measured(boxes, np.array(kinds), labels) | (of_scheme if other != scheme else {})
+            of_scheme |= measured(boxes, np.array(kinds), rotations, labels) | (of_scheme if other != scheme else {})
     with atomic_write(out, "w") as file:
         json.dump(known, file, indent=1, sort_keys=True)
         file.write("\n")
@@ -75,8 +76,11 @@ def convertible(scheme: Scheme) -> list[Scheme]:
     return possible
 
 
-def measured(boxes: np.ndarray, kinds: np.ndarray, landmarks: np.ndarray) -> dict[str, dict]:
-    """How faces (N, L, 2) lie in boxes (N, 4) of each kind (N,) of which there are some; NaN where none was found."""
+def measured(
+    boxes: np.ndarray, kinds: np.ndarray, rotations: np.ndarray, landmarks: np.ndarray
+) -> dict[str, dict[str, Any]]:
+    """How faces (N, L, 2) lie in boxes (N, 4) of each kind (N,) of which there are some, turned by rotations (N,) in
+    degrees; NaN where none was found."""
     squares = np.stack([bounding_square(points) for points in landmarks])
     mean = mean_face((landmarks - squares[:, None, :2]) / squares[:, None, 2:], SIDE)
     result = {}
@@ -84,7 +88,7 @@ def measured(boxes: np.ndarray, kinds: np.ndarray, landmarks: np.ndarray) -> dic
     for kind in np.unique(kinds[found]).tolist():
         rows = np.flatnonzero(found & (kinds == kind))
         if len(rows) >= FEWEST:
-            placement = placements.measure_placement(boxes[rows], landmarks[rows], mean, SIDE)
+            placement = placements.measure_placement(boxes[rows], landmarks[rows], mean, SIDE, rotations[rows])
             result[kind] = json.loads(
                 json.dumps(asdict(placement), default=float), parse_float=lambda text: round(float(text), 4)
             )

@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
 def trained(augmentations: int, options: list[str]) -> dict[str, float]:
     """The row of a training."""
     with tempfile.TemporaryDirectory() as folder:
-        command = ["train", "--no-haar", *options, "--augmentations", str(augmentations)]
+        command = ["train", "--no-detectors", *options, "--augmentations", str(augmentations)]
         command += ["--out", str(Path(folder) / "model.safetensors")]
         (ended,) = all_ended(started(command, 1, Path(folder)), require=0)
     return {"augmentations": augmentations, "peak MiB": ended.peak, "minutes": ended.seconds / 60}

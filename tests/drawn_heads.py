@@ -19,7 +19,7 @@ from jaxfit.learning.train import train
 from jaxfit.models.model import Model
 from jaxfit.schemes.known import AFLW21
 
-OPTIONS = Options(Greedy((0.6, 0.4)), mirror=False, haar=False, shape_variance=0.9, frame=Frame(64, 36.0))
+OPTIONS = Options(Greedy((0.6, 0.4)), mirror=False, detectors=False, shape_variance=0.9, frame=Frame(64, 36.0))
 SIDE = 140  # pixels, of the pictures
 HEAD = np.asarray(load_head_model().of(AFLW21, 0.5).mean)  # cm
 

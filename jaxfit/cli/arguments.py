@@ -215,7 +215,9 @@ def add_training(command: argparse.ArgumentParser) -> None:
     add_head_model(command)
     add_starts(command, "how many starts fitting shall use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
-    command.add_argument("--no-haar", action="store_true", help="do not learn how Haar boxes lie; saves minutes")
+    command.add_argument(
+        "--no-detectors", action="store_true", help="do not learn how the boxes of detectors lie; saves minutes"
+    )
     command.add_argument(
         "--descriptor",
         choices=list(DESCRIPTORS),
@@ -314,7 +316,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         sigmas=arguments.sigmas,
         head_model=arguments.head_model,
         mirror=not arguments.no_mirror and scheme.mirror is not None,
-        haar=not arguments.no_haar,
+        detectors=not arguments.no_detectors,
         # Left open where it is the usual one, which depends on the other options.
         descriptor=None if descriptor == usual else descriptor,
         frame=replace(descriptor.frame, **sides) if sides else None,

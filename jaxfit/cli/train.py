@@ -90,8 +90,8 @@ def run(options: argparse.Namespace) -> int:
     print(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     known = model.known_placements
     print(f"boxes it knows: {', '.join(known)}")
-    if not options.no_haar and len(known) == 1:
-        print("the Haar detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
+    if not options.no_detectors and len(known) == 1:
+        print("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
 
 

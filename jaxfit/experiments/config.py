@@ -23,7 +23,7 @@ from jaxfit.schemes.normalisers import NORMALISERS
 
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
 # Options of training that an experiment sets itself, or does not need, as it measures no boxes of detectors.
-_NOT_OPTIONS = {"augmentations", "starts", "haar", "seed"}
+_NOT_OPTIONS = {"augmentations", "starts", "detectors", "seed"}
 _OPTIONS = set(Options().flat()) - _NOT_OPTIONS
 
 
@@ -206,7 +206,7 @@ def config_from(values: Mapping[str, Any]) -> Config:
     chosen = _table(values, "chosen")
     _require_known("[chosen]", chosen, {"augmentations", "steps"})
     top = {key: _like(getattr(Config, key), key, values[key]) for key in _PLAIN if key in values}
-    usual = Options(haar=False).but(seed=max(0, top.get("seed", Config.seed)))
+    usual = Options(detectors=False).but(seed=max(0, top.get("seed", Config.seed)))
     training, methods, datasets = (_table(values, key) for key in ("training", "methods", "datasets"))
     _options("[training]", usual, default_descriptor("sdm", Starts()), training)  # so that a mistake is reported there
     plans = tuple(_method(name, {**training, **_table(methods, name, "methods.")}, usual) for name in methods)

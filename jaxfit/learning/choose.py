@@ -111,7 +111,7 @@ def choose_options(
     Beginning with the given options, a setting takes the place of the best so far if its mean error is lower in all
     folds together, and by more than chance: signed-rank test by subject, one-sided p < 0.025. It is not tried on more
     folds once it has been no better on those before. All settings are tried with two starts a face at most, without the
-    Haar detectors, and share principal axes.
+    detectors, and share principal axes.
 
     Args:
         faces: the labelled faces; those with missing landmarks are left out.
@@ -151,7 +151,7 @@ def choose_options(
         errors = evaluate(model, seen * _BOXES, boxes, starts=setting.starts, **how).errors
         return np.minimum(errors, LIMIT).reshape(_BOXES, -1).mean(0)
 
-    best = given.but(haar=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))
+    best = given.but(detectors=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))
     of_best: list[np.ndarray] = []
     choices = []
     for name, value in ((option, value) for option in OPTIONS for value in values[option]):

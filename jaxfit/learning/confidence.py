@@ -181,7 +181,7 @@ def sample_fits(
 
 
 def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str, Options]:
-    """The method and the options that a model was trained with, but for the Haar detectors.
+    """The method and the options that a model was trained with, but for the detectors.
 
     Args:
         model: the model.
@@ -204,7 +204,7 @@ def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str
             raise InputError(f"expected the 3D head model {made['head']}, which the model was trained with; {got}")
         known["head_model"] = str(head_model or given)
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
-    known |= {"starts": model.starts, "haar": False, "descriptor": descriptor, "frame": frame}
+    known |= {"starts": model.starts, "detectors": False, "descriptor": descriptor, "frame": frame}
     return made["method"], Options().but(**known)
 
 

@@ -37,8 +37,9 @@ class Options:
             takes the radius that holds as many of normally distributed faces as ±3 hold of normal numbers, 99.7 %.
         head_model: 3D head model of the 3D methods: a bundled one's name, or a file of ``scripts/build_head.py``.
         mirror: train on mirrored pictures too.
-        haar: run OpenCV's Haar detectors on the training pictures to learn how faces lie in their boxes, which takes
-            some minutes; without, the model knows only boxes around the landmarks.
+        detectors: run the YuNet and Haar detectors on the training pictures to learn how faces lie in their boxes,
+            which takes some minutes; without, the model knows only boxes around the landmarks, and those that were
+            measured for its scheme.
         descriptor: what is seen at a landmark; None is SIFT in windows that turn with the face, but upright ones for
             SDM from a single start.
         frame: size of the crops; None is what suits the descriptor.
@@ -53,7 +54,7 @@ class Options:
     sigmas: float | None = None
     head_model: str = DEFAULT_HEAD_MODEL
     mirror: bool = True
-    haar: bool = True
+    detectors: bool = True
     descriptor: Descriptor | None = None
     frame: Frame | None = None
 

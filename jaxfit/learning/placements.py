@@ -69,7 +69,7 @@ def _fitted_in_boxes(
             grey = read_grey(face.image)
         except ImageError:
             continue
-        match = best_match(detect_faces(grey), face.box)
+        match = best_match(detect_faces(grey, "haar"), face.box)
         if match is not None and match.kind == _DETECTOR:
             numbers.append(number)
             found.append(match.box)

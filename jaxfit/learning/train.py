@@ -11,7 +11,7 @@ import numpy as np
 from jaxfit import __version__
 from jaxfit.cascade.greedy import Progress, SharedAxes, train_cascade
 from jaxfit.data.boxes import bounding_square, jitter
-from jaxfit.data.detectors import best_match, detect_faces
+from jaxfit.data.detectors import best_match, detector_named
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
@@ -27,8 +27,9 @@ from jaxfit.shapes.points import mean_face
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
 _FEWEST_DETECTED = 10
-# A box that a detector drew around a training face: the face's number, the kind of box, and the box.
-_Detected = tuple[int, str, list[float]]
+_DETECTORS = ("yunet", "haar")
+# A box that a detector drew around a training face: the face's number, the kind of box, the box, and its rotation.
+_Detected = tuple[int, str, list[float], float]
 
 
 @dataclass(frozen=True)
@@ -103,11 +104,13 @@ def train(
     mine = share_of([face.image for face in complete])
     detected: list[_Detected] = []
     every = max(1, len(complete) // _DETECTED_FACES)
+    detectors = [detector_named(name) for name in _DETECTORS] if options.detectors else []
 
     def look(row: int, grey: np.ndarray) -> None:
         number = int(mine[row])
-        if options.haar and number % every == 0 and (match := best_match(detect_faces(grey), squares[number])):
-            detected.append((number, match.kind, match.box.tolist()))
+        for detector in detectors if number % every == 0 else ():
+            if match := best_match(detector(grey), squares[number]):
+                detected.append((number, match.kind, match.box.tolist(), match.rotation))
 
     own = [complete[number] for number in mine]
     crops, rows, why = cut_labelled(own, squares[mine], placement, frame, read, progress, look)
@@ -155,11 +158,11 @@ def _detected_placements(
 ) -> dict[str, Placement]:
     """How faces lie in the boxes of each kind of which there are enough."""
     placements = {}
-    for kind in sorted({kind for _, kind, _ in detected}):
-        found = [(number, box) for number, of_kind, box in detected if of_kind == kind]
+    for kind in sorted({kind for _, kind, _, _ in detected}):
+        found = [(number, box, rotation) for number, of_kind, box, rotation in detected if of_kind == kind]
         if len(found) >= _FEWEST_DETECTED:
-            boxes, labels = np.array([box for _, box in found]), landmarks[[number for number, _ in found]]
-            placements[kind] = measure_placement(boxes, labels, mean, face)
+            numbers, boxes, rotations = map(np.array, zip(*found, strict=True))
+            placements[kind] = measure_placement(boxes, landmarks[numbers], mean, face, rotations)
     return placements
 
 

@@ -17,6 +17,7 @@ from jax import numpy as jnp
 
 from jaxfit.cascade.starts import Spread
 from jaxfit.data.boxes import box_centre
+from jaxfit.data.crops import turned
 from jaxfit.errors import InputError
 from jaxfit.shapes.procrustes import align_similarity
 
@@ -74,7 +75,9 @@ def read_placement(values: dict[str, Any]) -> Placement:
     )
 
 
-def measure_placement(boxes: np.ndarray, landmarks: np.ndarray, mean: np.ndarray, face: float) -> Placement:
+def measure_placement(
+    boxes: np.ndarray, landmarks: np.ndarray, mean: np.ndarray, face: float, rotations: np.ndarray | None = None
+) -> Placement:
     """How the mean face lies in boxes, when aligned to the true faces.
 
     Args:
@@ -82,6 +85,8 @@ def measure_placement(boxes: np.ndarray, landmarks: np.ndarray, mean: np.ndarray
         landmarks: (N, L, 2) true landmarks in the pixels of the same pictures.
         mean: (L, 2) the mean face, its centroid at the origin.
         face: the mean face's size in its own pixels.
+        rotations: (N,) how far the faces are turned, in degrees, clockwise as seen, as whoever drew the boxes says;
+            None: nobody says.
 
     Raises:
         InputError: fewer than two faces.
@@ -92,6 +97,8 @@ def measure_placement(boxes: np.ndarray, landmarks: np.ndarray, mean: np.ndarray
     centres = np.stack([box_centre(box) for box in boxes])
     sides = np.array([_side(box) for box in boxes])
     relative = (landmarks - centres[:, None]) / sides[:, None, None]
+    radians = np.radians(np.zeros(len(boxes)) if rotations is None else rotations)
+    relative = turned(relative, -radians[:, None])
     aligned = jax.vmap(align_similarity, (0, None))(jnp.asarray(relative, jnp.float32), jnp.asarray(mean, jnp.float32))
     shifts = np.asarray(aligned.centre, np.float64)
     log_scales = np.log(np.asarray(aligned.scale, np.float64) * face)

@@ -79,7 +79,7 @@ def test_labels_of_several_schemes_train_one_model_and_are_converted_to_evaluate
             write_pts(folder / f"face{number:03}.pts", rng.uniform(30, 90, (count, 2)))
         specs.append(f"pts:{folder}")
     out = tmp_path / "model.safetensors"
-    train = ["train", "--data", *specs, "--out", str(out), *TRAIN, "--windows", "0.6", "--no-haar"]
+    train = ["train", "--data", *specs, "--out", str(out), *TRAIN, "--windows", "0.6", "--no-detectors"]
     assert main(train) == 2
     assert "lfpw29, " in (said := capsys.readouterr().err)
     assert "--scheme can convert some" in said
@@ -211,7 +211,7 @@ def test_training_with_chosen_options(
 
     monkeypatch.setattr("jaxfit.cli.train.choose_options", choose_options)
     out = tmp_path / "m.safetensors"
-    train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar"]
+    train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-detectors"]
     assert main([*train, "--choose", "--ridge", "2"]) == 0
     training = jaxfit.load(out).training
     assert asked == [(training["faces"], 2.0, 3, "sdm")]
@@ -265,7 +265,7 @@ def test_3d_methods_need_a_head_model_of_the_landmarks(
     monkeypatch.setattr("jaxfit.learning.prepare.cut", None)  # not reached
     out = tmp_path / "out.safetensors"
     for method in ("alignment3d", "regression3d"):
-        train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-haar", "--method", method]
+        train = ["train", "--data", f"pts:{drawn}", "--out", str(out), *TRAIN, "--no-detectors", "--method", method]
         assert main(train) == 2
         assert "this head model has no points of scheme points5; it has" in capsys.readouterr().err
     assert not out.exists()

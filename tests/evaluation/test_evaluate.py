@@ -12,7 +12,7 @@ from drawn_heads import HEAD, rotation_of, unlabelled
 
 import jaxfit
 from jaxfit.cascade.model import first_steps
-from jaxfit.data.boxes import bounding_square
+from jaxfit.data.boxes import GivenBox, bounding_square
 from jaxfit.data.pictures import write_image
 from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, measure, start_boxes
 from jaxfit.labels.records import FaceRecord
@@ -53,18 +53,21 @@ def test_faces_without_landmarks_start_from_their_own_boxes() -> None:
     boxes = start_boxes(faces)
     np.testing.assert_array_equal(boxes[:3], [box, np.full(4, np.nan), box])
     np.testing.assert_array_equal(boxes[3], start_boxes([record(SQUARE)])[0])
-    np.testing.assert_array_equal(match_boxes(faces[:1], {"a.png": [box + 1]}), [box + 1])
+    boxes, rotations = match_boxes(faces[:1], {"a.png": [GivenBox(box + 1, 20.0)]})
+    np.testing.assert_array_equal(boxes, [box + 1])
+    assert rotations.tolist() == [20.0]
 
 
 def test_each_box_goes_to_one_face() -> None:
     left, right = record(SQUARE), record(SQUARE + [50, 0])
     box_left, box_right = bounding_square(SQUARE), bounding_square(SQUARE + [48, 0])
-    both = match_boxes([left, right], {"a.png": [box_right, box_left]})
+    both, rotations = match_boxes([left, right], {"a.png": [GivenBox(box_right, 10.0), GivenBox(box_left, -5.0)]})
     np.testing.assert_array_equal(both, [box_left, box_right])
-    one = match_boxes([left, right], {"a.png": [box_right]})
+    assert rotations.tolist() == [-5.0, 10.0]
+    one, _ = match_boxes([left, right], {"a.png": [GivenBox(box_right, 0.0)]})
     assert np.isnan(one[0]).all()
     np.testing.assert_array_equal(one[1], box_right)
-    assert np.isnan(match_boxes([left], {"b.png": [box_left]})).all()
+    assert np.isnan(match_boxes([left], {"b.png": [GivenBox(box_left, 0.0)]})[0]).all()
 
 
 def test_faces_without_truth_or_fit_are_counted(tmp_path: Path) -> None:
@@ -159,6 +162,7 @@ def test_3d_errors_are_not_measured_on_landmarks_of_another_scheme(head_models, 
         pictures=np.arange(2),
         boxes=np.ones((2, 4)),
         kinds=("square",) * 2,
+        rotations=np.zeros(2),
         landmarks=rng.normal(size=(2, 68, 2)),
         landmarks_3d=rng.normal(size=(2, 68, 3)),
         pose=np.ones((2, 3)),

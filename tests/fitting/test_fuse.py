@@ -24,6 +24,7 @@ def fits_of(landmarks: np.ndarray, confidence: float) -> Fits:
         pictures=np.arange(count),
         boxes=np.zeros((count, 4)),
         kinds=(SQUARE,) * count,
+        rotations=np.zeros(count),
         landmarks=landmarks,
         confidence=np.full(count, confidence),
     )

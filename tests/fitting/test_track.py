@@ -73,6 +73,7 @@ class World:
             pictures=np.arange(len(images)),
             boxes=np.array(boxes, float).reshape(-1, 4),
             kinds=(SQUARE,) * len(images),
+            rotations=np.zeros(len(images)),
             landmarks=landmarks,
             confidence=None if self.confidence is None else confidences,
         )

@@ -158,6 +158,7 @@ def test_confidence_and_faces_that_were_not_fitted(quick: Callable, monkeypatch:
         pictures=np.zeros(3, int),
         boxes=np.full((3, 4), 10.0),
         kinds=("whole",) * 3,
+        rotations=np.zeros(3),
         landmarks=landmarks,
         problems=(Problem(0, "", "no face found"), Problem(0, "", "the fit diverged", 2)),
         confidence=np.array([0.1, 0.98765, np.nan]),

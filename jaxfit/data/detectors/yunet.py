@@ -152,7 +152,8 @@ def _in_the_middle(box: np.ndarray) -> bool:
 
 def _rotation(points: np.ndarray) -> float:
     """How far a face is turned in the picture, in degrees, clockwise as seen, by its five points: the eyes, nose,
-    and corners of the mouth, the left ones in the picture first. On profiles, where the eyes coincide, eyes and mouth tell."""
+    and corners of the mouth, the left ones in the picture first. On profiles, whose eyes coincide, eyes and
+    mouth tell."""
     across = points[1] - points[0]
     down = points[3:].mean(0) - points[:2].mean(0)
     x, y = across + [down[1], -down[0]]
