@@ -16,7 +16,7 @@ __version__ = "0.2.0"
 
 from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
 from jaxfit.cascade import Greedy, Starts, Tuning
-from jaxfit.data import detect_faces, draw_head, draw_landmarks, read_image
+from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_image
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
 from jaxfit.fitting import Fits, crop_faces, export, fit, fuse, refine, track, warm_up
@@ -34,6 +34,7 @@ __all__ = [
     "JaxfitError",
     "Model",
     "Options",
+    "Search",
     "Starts",
     "Tuning",
     "bundled",

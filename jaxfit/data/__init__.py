@@ -2,7 +2,7 @@
 
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.crops import Crops
-from jaxfit.data.detectors import Detection, Detector, detect_faces
+from jaxfit.data.detectors import Detection, Detector, Search, detect_faces, detector_named
 from jaxfit.data.overlays import draw_head, draw_landmarks, draw_row
 from jaxfit.data.pictures import find_images, read_image, write_image
 from jaxfit.data.videos import Video
@@ -11,8 +11,10 @@ __all__ = [
     "Crops",
     "Detection",
     "Detector",
+    "Search",
     "Video",
     "detect_faces",
+    "detector_named",
     "draw_head",
     "draw_landmarks",
     "draw_row",

@@ -1,7 +1,7 @@
 """OpenCV's Haar cascades for frontal faces and for both profiles, which come with it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import local
 
@@ -17,7 +17,7 @@ FRONTAL, PROFILE = "haar-frontal", "haar-profile"
 _SCALE_FACTOR = 1.1
 _SURE, _UNSURE = 3, 1  # overlapping finds that make a face
 _SEEN = 24  # pixels of the smallest face that is looked for, in a picture that is shrunk for it
-# The cascades want some background around a face, which pictures cut close to it lack.
+# The cascades want some background around a face, which pictures cut close to it lack: where nothing is found, a margin.
 _MARGIN = 0.1
 
 _FRONTAL_FILE = "haarcascade_frontalface_alt2.xml"
@@ -58,11 +58,15 @@ class Haar:
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         small, back = _shrunk(to_grey(image), self.search)
-        margin = round(_MARGIN * min(small.shape))
-        padded = cv2.copyMakeBorder(small, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
         # The profile cascade takes three times as long as the frontal one and hardly adds to what that one is sure of.
-        found = _merged(_frontal(padded, _SURE)) or _merged(_frontal(padded, _UNSURE) + _profile(padded, _UNSURE))[:1]
-        return [Detection((face.box - [margin, margin, 0, 0]) * back, face.kind) for face in found]
+        if not (found := _merged(_frontal(small, _SURE))):
+            margin = round(_MARGIN * min(small.shape))
+            padded = cv2.copyMakeBorder(small, margin, margin, margin, margin, cv2.BORDER_REPLICATE)
+            found = (
+                _merged(_frontal(padded, _SURE)) or _merged(_frontal(padded, _UNSURE) + _profile(padded, _UNSURE))[:1]
+            )
+            found = [replace(face, box=face.box - [margin, margin, 0, 0]) for face in found]
+        return [replace(face, box=face.box * back) for face in found]
 
 
 def _cascade(name: str) -> cv2.CascadeClassifier:
