@@ -1,5 +1,6 @@
 """Crops show the image function at the mapped coordinates, and the map goes both ways."""
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -186,3 +187,28 @@ def test_crops_that_were_cut_make_a_batch_with_black_ones_where_there_are_reason
     assert not crops.pixels[1].any()
     np.testing.assert_array_equal(crops.to_images(np.ones((1, 3, 2)), np.array([1])), 1)
     assert len(Crops.of([], FRAME)) == 0
+
+
+@pytest.mark.parametrize("degrees", [-70, 15, 90, 180])
+def test_a_turned_crop_is_one_of_a_turned_picture(degrees):
+    """And its points go to where they are in the picture."""
+    smooth = cv2.GaussianBlur(np.random.default_rng(0).normal(128, 300, (240, 240)), (0, 0), 6)
+    picture = np.clip(smooth, 0, 255).astype(np.uint8)
+    centre, rotation = np.array([118.0, 121.0]), np.radians(degrees)
+    frame = Frame(48, 30.0, 0.0)
+    there = cv2.getRotationMatrix2D(tuple(centre.tolist()), degrees, 1)  # turns the picture back
+    upright = cut_face(cv2.warpAffine(picture, there, (240, 240)), centre, 60.0, frame)
+    turned = cut_face(picture, centre, 60.0, frame, rotation)
+    assert np.abs(turned.pixels.astype(int) - upright.pixels).mean() < 2
+    points = np.random.default_rng(1).uniform(0, 48, (5, 2))
+    in_picture = to_image(points, turned.scale, turned.offset, turned.rotation)
+    in_upright = to_image(points, upright.scale, upright.offset)
+    np.testing.assert_allclose(in_picture @ there[:, :2].T + there[:, 2], in_upright, atol=1e-9)
+    np.testing.assert_allclose(to_crop(in_picture, turned.scale, turned.offset, turned.rotation), points, atol=1e-9)
+
+
+def test_a_crop_that_is_not_turned_is_the_same_to_the_bit():
+    picture = np.random.default_rng(0).integers(0, 256, (90, 90), np.uint8)
+    for side in (20.0, 55.0, 200.0):
+        one, other = (cut_face(picture, np.array([40.0, 50.0]), side, FRAME, *turn) for turn in ((), (0.0,)))
+        np.testing.assert_array_equal(one.pixels, other.pixels)

@@ -1,12 +1,16 @@
 """Detections: the geometry on drawn inputs, the finding on real pictures."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 import pytest
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import Detection, best_match, detect_faces
+from jaxfit.data.detectors import Detection, Search, best_match, detect_faces
+from jaxfit.data.detectors.detector import AnyRotation, _turned_back, merged
 from jaxfit.data.pictures import read_image, to_grey
+from jaxfit.errors import InputError
 
 TRUTH = np.array([100.0, 100.0, 50.0, 50.0])
 
@@ -37,9 +41,58 @@ def test_the_best_match_overlaps_most():
     assert best_match([], TRUTH) is None
 
 
+@pytest.mark.parametrize("name", ["yunet", "haar"])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 500), (500, 1), (30, 40), (300, 1000)])
-def test_empty_pictures_have_no_faces(shape):
-    assert detect_faces(np.full(shape, 128, np.uint8)) == []
+def test_empty_pictures_have_no_faces(shape, name):
+    assert detect_faces(np.full(shape, 128, np.uint8), name) == []
+
+
+@pytest.mark.parametrize("bad", [{"smallest": 3}, {"smallest": float("nan")}, {"score": 1.5}, {"score": -0.1}], ids=str)
+def test_searches_that_make_no_sense_are_refused(bad):
+    with pytest.raises(InputError, match="expected a s"):
+        Search(**bad)
+
+
+def test_the_smallest_face_grows_with_the_picture_unless_it_is_given():
+    assert Search().smallest_in((300, 400)) == 24
+    assert Search().smallest_in((3000, 4000, 3)) == pytest.approx(np.sqrt(12e6) / 60)
+    assert Search(smallest=10).smallest_in((3000, 4000)) == 10
+
+
+def test_of_several_finds_of_a_face_the_best_is_kept():
+    finds = [Detection(TRUTH + shift, "yunet", score=score) for shift, score in ((0, 0.7), (3, 0.9), (100, 0.8))]
+    assert [(face.score, face.box[0]) for face in merged(finds)] == [(0.9, 103), (0.8, 200)]
+
+
+@dataclass(frozen=True)
+class Bright:
+    """Finds the brightest spot, as a face that is turned as the spot is around the middle of its bright field."""
+
+    kinds = ("square",)
+    colour = False
+    rough = False
+
+    def __call__(self, image):
+        y, x = np.unravel_index(np.argmax(image), image.shape)
+        ys, xs = np.nonzero(image > 100)
+        rotation = np.degrees(np.arctan2(y - ys.mean(), x - xs.mean())) + 90  # a spot on top is upright
+        return [Detection(np.array([x - 2.5, y - 1.5, 6.0, 4.0]), "square", rotation)]
+
+
+def test_a_picture_turned_by_quarters_tells_where_the_face_is_in_it():
+    picture = np.zeros((40, 60), np.uint8)
+    picture[10:20, 30:41] = 150
+    picture[10, 35] = 250
+    centres = []
+    for quarters in range(4):
+        turned = np.ascontiguousarray(np.rot90(picture, quarters))
+        (plain,) = Bright()(turned)
+        back = _turned_back(plain, quarters, picture.shape)
+        centres.append(box_centre(back.box) - (0.5, 0.5))
+        assert back.rotation == pytest.approx(0, abs=3)
+    # Boxes hold pixels from edge to edge, so that the middle of one pixel stays the middle of one.
+    np.testing.assert_allclose(np.round(centres), np.round(centres[0])[None].repeat(4, 0), atol=1)
+    assert len(AnyRotation(Bright())(picture)) == 1
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +102,9 @@ def portraits(real_dataset):
     return [(to_grey(read_image(face.image, exif=False)), bounding_square(face.landmarks)) for face in faces]
 
 
-def test_most_portraits_are_found(portraits):
-    results = [(detect_faces(grey), square) for grey, square in portraits]
+@pytest.mark.parametrize("name", ["yunet", "haar"])
+def test_most_portraits_are_found(portraits, name):
+    results = [(detect_faces(grey, name), square) for grey, square in portraits]
     hits = [best_match(detections, square) for detections, square in results]
     assert np.mean([hit is not None for hit in hits]) > 0.9
     assert np.mean([len(detections) for detections, _ in results]) < 1.4
@@ -59,15 +113,47 @@ def test_most_portraits_are_found(portraits):
         assert areas == sorted(areas, reverse=True)
 
 
-def test_boxes_grow_and_move_with_the_picture(portraits):
+@pytest.mark.parametrize("name", ["yunet", "haar"])
+def test_boxes_grow_and_move_with_the_picture(portraits, name):
     """A picture twice as large, or in the corner of a larger one, shows the same face."""
     for grey, square in portraits[:4]:
-        plain = best_match(detect_faces(grey), square)
-        double = best_match(detect_faces(cv2.resize(grey, None, fx=2, fy=2)), 2 * square)
-        placed = best_match(detect_faces(np.pad(grey, ((30, 0), (50, 0)), "edge")), square + np.array([50, 30, 0, 0]))
+        plain = best_match(detect_faces(grey, name), square)
+        double = best_match(detect_faces(cv2.resize(grey, None, fx=2, fy=2), name), 2 * square)
+        padded = np.pad(grey, ((30, 0), (50, 0)), "edge")
+        placed = best_match(detect_faces(padded, name), square + np.array([50, 30, 0, 0]))
         tolerance = 0.12 * square[2]
         np.testing.assert_allclose(double.box / 2, plain.box, atol=2 * tolerance)
         np.testing.assert_allclose(box_centre(placed.box) - [50, 30], box_centre(plain.box), atol=tolerance)
+
+
+def test_small_faces_are_found_in_the_parts_of_a_large_picture(portraits):
+    """Also where parts meet, and none twice."""
+    width, places = 40, [(x, y) for y in (5, 500, 870) for x in (20, 1230, 1290, 2400)]
+    canvas = np.full((1000, 2600), 120, np.uint8)
+    for (grey, square), (x, y) in zip(portraits, places, strict=False):
+        scale = width / square[2]
+        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        height, across = min(small.shape[0], 1000 - y), min(small.shape[1], 2600 - x)
+        canvas[y : y + height, x : x + across] = small[:height, :across]
+    squares = [
+        np.array([*(square[:2] * width / square[2] + place), width, width])
+        for (_, square), place in zip(portraits, places, strict=False)
+    ]
+    found = detect_faces(canvas, "yunet", Search(smallest=30))
+    assert sum(best_match(found, square) is not None for square in squares) >= len(places) - 1
+    assert len(found) <= len(places) + 1
+
+
+@pytest.mark.parametrize("degrees", [-40, 25, 40])
+def test_faces_say_how_they_are_turned(portraits, degrees):
+    errors = []
+    for grey, square in portraits[:8]:
+        centre = tuple(box_centre(square).tolist())
+        there = cv2.getRotationMatrix2D(centre, -degrees, 1)
+        turned = cv2.warpAffine(grey, there, grey.shape[::-1], borderMode=cv2.BORDER_REPLICATE)
+        plain, found = (best_match(detect_faces(each), square) for each in (grey, turned))
+        errors.append(180.0 if found is None else abs(found.rotation - plain.rotation - degrees))
+    assert np.median(errors) < 8
 
 
 def test_profiles_are_found_on_both_sides(real_dataset):
@@ -75,6 +161,6 @@ def test_profiles_are_found_on_both_sides(real_dataset):
     found = {"left": 0, "right": 0}
     for face in faces:
         grey = to_grey(read_image(face.image, exif=False))
-        match = best_match(detect_faces(grey), bounding_square(face.landmarks))
+        match = best_match(detect_faces(grey, "haar"), bounding_square(face.landmarks))
         found["left" if face.pose[2] > 0 else "right"] += match is not None and match.kind == "haar-profile"
     assert min(found.values()) >= 3

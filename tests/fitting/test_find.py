@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from small import Corners, random_model, with_corners
@@ -30,7 +31,7 @@ def test_faces_come_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     assert found.boxes[:, 2].tolist() == sides
 
 
-def test_what_is_found_is_fitted_as_if_the_boxes_were_given(compiled_sooner: None) -> None:
+def test_what_is_found_is_fitted_as_if_the_boxes_were_given() -> None:
     model, pictures = random_model("sdm"), [with_corners(count) for count in (2, 0, 1)]
     fits = jaxfit.fit(model, pictures, detector=Corners())
     assert fits.pictures.tolist() == [0, 0, 2]
@@ -61,13 +62,13 @@ def test_pictures_that_cannot_be_used_do_not_stop_the_others(
     fits = jaxfit.fit(model, pictures)
     assert fits.pictures.tolist() == [1, 3]
     assert fits.ok.all()
-    assert fits.kinds == ("haar-frontal",) * 2
+    assert fits.kinds == ("yunet",) * 2
     assert [problem.picture for problem in fits.problems] == [0, 2, 4, 5]
     assert str(fits.problems[0]).startswith(f"{tmp_path / 'none.png'}: cannot be read")
     assert "truncated" in fits.problems[1].why
     assert "float64" in fits.problems[2].why
     assert find_faces(pictures).problems == fits.problems
-    # A JPEG of the picture shows nearly the same; Haar's boxes jump.
+    # A JPEG of the picture shows nearly the same.
     assert np.linalg.norm(fits.landmarks[0] - fits.landmarks[1], axis=1).mean() < 0.05 * fits.boxes[0, 2]
 
 
@@ -78,7 +79,7 @@ def test_no_pictures_have_no_faces(model: Model) -> None:
 
 
 def test_wrong_arguments_are_refused_before_anything_is_read(model: Model) -> None:
-    with pytest.raises(jaxfit.InputError, match="a detector among haar"):
+    with pytest.raises(jaxfit.InputError, match="a detector among"):
         jaxfit.fit(model, ["none.jpg"], detector="hair")
     with pytest.raises(jaxfit.InputError, match="got both"):
         jaxfit.fit(model, ["none.jpg"], [[0, 0, 9, 9]], detector="haar")
@@ -97,7 +98,7 @@ def test_the_whole_picture_may_be_the_face(model: Model, portrait: np.ndarray) -
     x, y, side = (int(value) for value in face.box[:3])
     cut = portrait[y - side // 4 : y + side + side // 4, x - side // 4 : x + side + side // 4]
     whole = jaxfit.fit(model, [cut], detector="whole")
-    found = jaxfit.fit(model, [portrait], [face.box], kind=face.kind, passes=2)
+    found = jaxfit.fit(model, [portrait], [face.box], kind=face.kind, rotations=[face.rotation])
     there = found.landmarks[0] - [x - side // 4, y - side // 4]
     eyes = np.linalg.norm(there[36] - there[45])
     assert np.linalg.norm(whole.landmarks[0] - there, axis=1).mean() < 0.08 * eyes
@@ -106,15 +107,34 @@ def test_the_whole_picture_may_be_the_face(model: Model, portrait: np.ndarray) -
 def test_dlib_finds_the_portrait(model: Model, portrait: np.ndarray) -> None:
     pytest.importorskip("dlib", reason='dlib is not installed: pip install "jaxfit[dlib]"')
     fits = jaxfit.fit(model, [portrait], detector="dlib")
-    haar = jaxfit.fit(model, [portrait])
+    haar = jaxfit.fit(model, [portrait], detector="haar")
     assert fits.kinds == ("dlib",)
     eyes = np.linalg.norm(haar.landmarks[0, 36] - haar.landmarks[0, 45])
     assert np.linalg.norm(fits.landmarks[0] - haar.landmarks[0], axis=1).mean() < 0.08 * eyes
 
 
-def test_yunet_needs_its_file(tmp_path: Path) -> None:
+def test_a_yunet_of_ones_own_is_a_file_that_opencv_can_run(tmp_path: Path) -> None:
     with pytest.raises(jaxfit.InputError, match="there is no file"):
         find_faces([], f"yunet:{tmp_path / 'yunet.onnx'}")
     (tmp_path / "yunet.onnx").write_bytes(b"not a network")
     with pytest.raises(jaxfit.InputError, match="not a YuNet"):
         find_faces([], f"yunet:{tmp_path / 'yunet.onnx'}")
+
+
+@pytest.mark.parametrize("degrees", [30, -30, 90, 180])
+def test_turned_faces_are_fitted_as_upright_ones(model: Model, portrait: np.ndarray, degrees: float) -> None:
+    """Crops are cut turned: the landmarks turn with the picture."""
+    height, width = portrait.shape[:2]
+    there = cv2.getRotationMatrix2D((width / 2, height / 2), -degrees, 1)
+    turned = cv2.warpAffine(portrait, there, (width, height), borderMode=cv2.BORDER_REPLICATE)
+    plain = jaxfit.fit(model, [portrait])
+    search = jaxfit.Search(any_rotation=abs(degrees) >= 90)
+    found = jaxfit.fit(model, [turned], search=search)
+    assert len(found) == 1
+    assert abs((found.rotations[0] - plain.rotations[0] - degrees + 180) % 360 - 180) < 10
+    expected = plain.landmarks[0] @ there[:, :2].T + there[:, 2]
+    eyes = np.linalg.norm(expected[36] - expected[45])
+    assert np.linalg.norm(found.landmarks[0] - expected, axis=1).mean() < 0.08 * eyes
+    # Given boxes may say so, too.
+    given = jaxfit.fit(model, [turned], found.boxes, kind=found.kinds, rotations=found.rotations)
+    np.testing.assert_array_equal(given.landmarks, found.landmarks)

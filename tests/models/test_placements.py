@@ -34,6 +34,23 @@ def test_known_placements_are_recovered() -> None:
     assert size == pytest.approx(50 * np.exp(-0.2), rel=0.01)
 
 
+def test_boxes_that_say_how_faces_are_turned_leave_no_rotation() -> None:
+    """Shifts are along the face's axes, and go back into the picture with it."""
+    rng = np.random.default_rng(0)
+    rotations = rng.uniform(-180, 180, 50)
+    cos, sin = np.cos(np.radians(rotations)), np.sin(np.radians(rotations))
+    x, y = (MEAN + [6.0, -3.0]).T
+    faces = np.stack([np.outer(cos, x) - np.outer(sin, y), np.outer(sin, x) + np.outer(cos, y)], -1) + 200
+    boxes = np.tile([150.0, 150.0, 100.0, 100.0], (50, 1))
+    placement = measure_placement(boxes, faces, MEAN, FACE, rotations)
+    assert placement.shift == pytest.approx((0.06, -0.03), abs=1e-4)
+    assert placement.spread.rotation == pytest.approx(0, abs=1e-4)
+    for face, box, rotation in zip(faces, boxes, np.radians(rotations).tolist(), strict=True):
+        centre, size = placement.face_in(box, rotation)
+        np.testing.assert_allclose(centre, face.mean(0), atol=0.01)
+        assert size == pytest.approx(FACE, abs=0.01)
+
+
 def test_a_single_face_is_too_few() -> None:
     with pytest.raises(InputError, match="at least two faces"):
         measure_placement(np.array([[0.0, 0, 1, 1]]), MEAN[None], MEAN, FACE)
