@@ -142,7 +142,7 @@ def test_tiny_pictures(shape):
     ("centre", "side"), [((np.nan, 0), 9.0), ((0, np.inf), 9.0), ((0, 0), 0.0), ((0, 0), -1.0), ((0, 0), np.nan)]
 )
 def test_impossible_faces_are_refused(centre, side):
-    with pytest.raises(InputError, match="finite centre and a positive"):
+    with pytest.raises(InputError, match="finite centre and rotation and a positive"):
         cut_face(np.zeros((9, 9), np.uint8), np.array(centre, float), side, FRAME)
 
 
