@@ -40,7 +40,7 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
     model = jaxfit.load("sdm68")
     portrait = _portrait(folder)
     picture = jaxfit.read_image(portrait)
-    box = jaxfit.detect_faces(picture)[0].box
+    box = jaxfit.detect_faces(picture, "haar")[0].box
     points = jaxfit.fit(model, [picture], [box], kind="haar-frontal").landmarks[0]
 
     def made(name: str, content: bytes) -> Path:
