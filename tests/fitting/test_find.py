@@ -30,7 +30,7 @@ def test_faces_come_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     assert found.boxes[:, 2].tolist() == sides
 
 
-def test_what_is_found_is_fitted_as_if_the_boxes_were_given(compiled_sooner: None) -> None:
+def test_what_is_found_is_fitted_as_if_the_boxes_were_given() -> None:
     model, pictures = random_model("sdm"), [with_corners(count) for count in (2, 0, 1)]
     fits = jaxfit.fit(model, pictures, detector=Corners())
     assert fits.pictures.tolist() == [0, 0, 2]
