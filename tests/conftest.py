@@ -1,11 +1,14 @@
 """What all tests share: array shapes checked, workers, models of heads; real data and a browser if at hand."""
 
+import fcntl
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
@@ -24,6 +27,19 @@ install_import_hook("jaxfit", "beartype.beartype")
 # What starts processes, a browser or notebooks, or trains whole models: left out of `make check`.
 SLOW_FOLDERS = {"cli", "experiments", "learning", "runs", "scripts", "serving"}
 SLOW_FILES = {"test_contributing", "test_notebooks", "test_packages", "test_readme", "test_site"}
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiling takes most of the time: less well, and once for all workers, their processes and later runs."""
+    compiled = Path(config.rootpath) / ".pytest_cache" / "compiled"
+    settings: dict[str, Any] = {
+        "jax_compilation_cache_dir": str(compiled),
+        "jax_persistent_cache_min_compile_time_secs": 0.2,
+        "jax_disable_most_optimizations": True,
+    }
+    for name, value in settings.items():
+        jax.config.update(name, value)
+        os.environ[name.upper()] = str(value)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -64,7 +80,24 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def drawn_model(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callable[[Path], None]], Path]:
+    """A file that all workers share, made by the first who asks for it."""
+    base = tmp_path_factory.getbasetemp()
+    folder = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def path_of(name: str, make: Callable[[Path], None]) -> Path:
+        path = folder / name
+        with (folder / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                make(path)
+        return path
+
+    return path_of
+
+
+@pytest.fixture(scope="session")
+def drawn_model(drawn: Path, made_once: Callable[[str, Callable[[Path], None]], Path]) -> Path:
     """The file of a model that is trained on the drawn faces."""
     from drawn_faces import OPTIONS
 
@@ -72,10 +105,11 @@ def drawn_model(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from jaxfit.learning.train import train
     from jaxfit.models.files import save
 
-    path = tmp_path_factory.mktemp("model") / "blobs.safetensors"
-    found = read_dataset(f"pts:{drawn}")
-    save(train(found.faces, found.scheme, options=OPTIONS).model, path)
-    return path
+    def make(path: Path) -> None:
+        found = read_dataset(f"pts:{drawn}")
+        save(train(found.faces, found.scheme, options=OPTIONS).model, path)
+
+    return made_once("blobs.safetensors", make)
 
 
 @pytest.fixture(scope="session")
@@ -87,11 +121,16 @@ def heads(tmp_path_factory: pytest.TempPathFactory) -> tuple:
 
 
 @pytest.fixture(scope="session")
-def head_models(heads: tuple) -> dict:
+def head_models(heads: tuple, made_once: Callable[[str, Callable[[Path], None]], Path]) -> dict:
     """A model of each 3D method, trained on the drawn heads."""
     from drawn_heads import train_heads
 
-    return train_heads(heads)
+    from jaxfit.models.files import load, save
+
+    def make(path: Path) -> None:
+        save(train_heads(heads, path.stem), path)
+
+    return {method: load(made_once(f"{method}.safetensors", make)) for method in ("alignment3d", "regression3d")}
 
 
 @pytest.fixture(scope="module")
@@ -108,11 +147,3 @@ def browser() -> Iterator[Any]:
         running = playwright.chromium.launch(executable_path=path, args=options)
         yield running
         running.close()
-
-
-@pytest.fixture(autouse=True, scope="session")
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Commands keep their compiled code in a folder of the tests' own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield

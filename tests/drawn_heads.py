@@ -3,7 +3,6 @@
 from dataclasses import replace
 from pathlib import Path
 
-import jax
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -65,14 +64,6 @@ def unlabelled(face: FaceRecord) -> FaceRecord:
     return replace(face, landmarks=np.zeros((0, 2)), present=none, visible=none, box=box)
 
 
-def train_heads(faces: tuple[FaceRecord, ...]) -> dict[str, Model]:
-    """A model of each 3D method."""
-    # Compiling takes most of the time: less well, and sooner.
-    jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        return {
-            method: train(faces, AFLW21, method=method, options=OPTIONS).model
-            for method in ("alignment3d", "regression3d")
-        }
-    finally:
-        jax.config.update("jax_disable_most_optimizations", False)
+def train_heads(faces: tuple[FaceRecord, ...], method: str) -> Model:
+    """A model of a 3D method."""
+    return train(faces, AFLW21, method=method, options=OPTIONS).model

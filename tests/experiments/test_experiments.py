@@ -24,7 +24,6 @@ from report_words import check_is_the_same_without_the_thesis
 import jaxfit
 from jaxfit.cascade.model import first_steps
 from jaxfit.cli.main import main
-from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.pts import write_pts
 from jaxfit.errors import ImageError, InputError
 from jaxfit.evaluation.evaluate import evaluate
@@ -85,15 +84,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True, scope="module")
 def _there(folder: Path) -> Iterator[None]:
-    """In the folder, with code that is compiled without optimisations, which takes most of the time otherwise."""
+    """In the folder."""
     jax.clear_caches()  # code that other tests have compiled gives other last digits than a new process
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")  # in other processes too
-        jax.config.update("jax_disable_most_optimizations", True)
-        keep_compiled_code()
         yield
-        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")

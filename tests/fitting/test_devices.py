@@ -14,7 +14,6 @@ from importlib import import_module
 sys.path[:0] = sys.argv[1:]
 import jax, numpy as np
 jax.config.update("jax_num_cpu_devices", 2)
-jax.config.update("jax_disable_most_optimizations", True)  # compiles sooner
 import jaxfit
 from small import random_model
 stream = import_module("jaxfit.fitting.stream")

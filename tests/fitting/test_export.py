@@ -37,7 +37,7 @@ COUNT = 13  # faces: a large batch and some single ones
 LIMIT = "jax_traceback_in_locations_limit"
 IN_3D = {"landmarks", "landmarks_3d", "pose", "scale", "b"}
 
-pytestmark = pytest.mark.usefixtures("compiled_sooner", "two_batches")
+pytestmark = pytest.mark.usefixtures("two_batches")
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +76,7 @@ STARTS = {"sdm": Starts(), "parametric": Starts(3), "regression3d": Starts()}
 
 
 @pytest.fixture(scope="module")
-def folder(compiled_sooner: None, two_batches: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(two_batches: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Exports of three models, one of which starts three times."""
     folder = tmp_path_factory.mktemp("exports")
     for kind, starts in STARTS.items():

@@ -29,8 +29,6 @@ BOX = np.array([15.0, 15.0, 60.0, 60.0])
 PICTURE = np.random.default_rng(7).integers(0, 256, (90, 120), dtype=np.uint8)
 PICTURES = ("a.jpg", "b.jpg", "c.jpg", "d.png", "e.png")
 
-pytestmark = pytest.mark.usefixtures("compiled_sooner")
-
 
 @pytest.fixture(scope="module")
 def model() -> Model:

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 from drawn_heads import OPTIONS
@@ -21,10 +20,7 @@ CANDIDATES = {"windows": [(0.01, 0.01)], "ridge": [1e6, 0.1]}
 @pytest.fixture(scope="module")
 def choose(heads):
     """Chooses for drawn heads."""
-    # Compiling takes most of the time: less well, and sooner.
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield lambda: choose_options(heads, AFLW21, options=OPTIONS, candidates=CANDIDATES, folds=2)
-    jax.config.update("jax_disable_most_optimizations", False)
+    return lambda: choose_options(heads, AFLW21, options=OPTIONS, candidates=CANDIDATES, folds=2)
 
 
 @pytest.fixture(scope="module")

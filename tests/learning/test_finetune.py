@@ -32,14 +32,6 @@ MILD = Disturbance(0.05, 0.03, 0.0, 0.1, 1.0, 0.1)
 TUNING = jaxfit.Tuning(epochs=2, batch=8, dropped=0.1, disturbance=MILD)
 
 
-@pytest.fixture(autouse=True)
-def compiled_soon():
-    """Compiling takes most of the time: less well, and sooner."""
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)
-
-
 @pytest.fixture(scope="module")
 def cautious(heads) -> jaxfit.Model:
     """SDM that has learned too little."""

@@ -43,13 +43,8 @@ PICTURE = (300, 400)
 @pytest.fixture(scope="module")
 def model(heads) -> jaxfit.Model:
     """Of SDM on drawn heads, taught by two folds."""
-    # Compiling takes most of the time: less well, and sooner.
-    jax.config.update("jax_disable_most_optimizations", True)
-    try:
-        trained = jaxfit.train(heads, AFLW21, options=OPTIONS).model
-        return learn_confidence(trained, heads, folds=2)
-    finally:
-        jax.config.update("jax_disable_most_optimizations", False)
+    trained = jaxfit.train(heads, AFLW21, options=OPTIONS).model
+    return learn_confidence(trained, heads, folds=2)
 
 
 def test_fits_tell_their_confidence(model, heads) -> None:

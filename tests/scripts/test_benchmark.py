@@ -6,7 +6,6 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -36,16 +35,6 @@ STEPS = 2
 FRAME = Frame(crop=64, face=36.0)
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes are kept to cores on Linux")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled_soon() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        # Compiling takes most of the time, here and in the processes that are measured.
-        patch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-        jax.config.update("jax_disable_most_optimizations", True)
-        yield
-        jax.config.update("jax_disable_most_optimizations", False)
 
 
 @pytest.fixture(scope="module")
