@@ -22,7 +22,8 @@ def face_row(image: str, face: str, scheme: Scheme = IBUG68, modes: int | None =
         "image": image,
         "face": face,
         "size": {"width": 320, "height": 200},
-        "box": dict(zip(("x", "y", "width", "height"), numbers(4), strict=True)) | {"kind": "haar-frontal"},
+        "box": dict(zip(("x", "y", "width", "height", "rotation"), numbers(5), strict=True)) | {"kind": "haar-frontal"},
+        "ok": confidence > 0.2,
         "landmarks": numbers(scheme.count, 2),
     }
     if confidence >= 0:

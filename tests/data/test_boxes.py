@@ -84,8 +84,14 @@ def test_boxes_are_read_by_file_name(tmp_path):
     )
     boxes = read_boxes(path)
     assert list(boxes) == ["a.jpg", "b,c.jpg"]
-    np.testing.assert_array_equal(boxes["a.jpg"], [[1, 2, 3, 4], [5, 6, -7, 8]])
-    assert boxes["b,c.jpg"][0].dtype == np.float64
+    np.testing.assert_array_equal([given.box for given in boxes["a.jpg"]], [[1, 2, 3, 4], [5, 6, -7, 8]])
+    assert boxes["b,c.jpg"][0].box.dtype == np.float64
+    assert [given.rotation for given in boxes["a.jpg"]] == [0, 0]
+
+
+def test_boxes_may_say_how_faces_are_turned(tmp_path):
+    (tmp_path / "boxes.csv").write_text("image,x,y,width,height,rotation\na.jpg,1,2,3,4,-30.5\na.jpg,1,2,3,4,0\n")
+    assert [given.rotation for given in read_boxes(tmp_path / "boxes.csv")["a.jpg"]] == [-30.5, 0]
 
 
 @pytest.mark.parametrize(
@@ -102,6 +108,9 @@ def test_boxes_are_read_by_file_name(tmp_path):
         ("image,x,y,width,height\na,1,2,3,1e999\n", "line 2: expected finite"),
         ("x,y,width,height,image\n1,2,3,4,a\n1,2,3,4\n", "line 3: .*file name"),
         ("x,y,width,height,image\n1,2\n", "line 2"),
+        ("image,x,y,width,height,rotation\na,1,2,3,4,left\n", "line 2: .*left"),
+        ("image,x,y,width,height,rotation\na,1,2,3,4,inf\n", "line 2: expected finite"),
+        ("image,x,y,width,height,rotation\na,1,2,3,4,\n", "line 2: expected finite"),
     ],
 )
 def test_damaged_box_files_are_refused_with_the_line(tmp_path, text, reason):

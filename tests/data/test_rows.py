@@ -10,6 +10,7 @@ import pytest
 from face_rows import PLAIN, SURE, face_row, rows_of
 
 from jaxfit.data.rows import (
+    FLAGS,
     HEAD,
     PROBLEM,
     TEXTS,
@@ -37,7 +38,8 @@ def test_the_columns_of_a_flat_row_are_those_of_its_model(scheme: Scheme, modes:
     assert tuple(flat) == columns_of(scheme, modes, confidence >= 0)
     texts = [name for name, value in flat.items() if isinstance(value, str)]
     assert tuple(texts) == TEXTS[:3]
-    assert all(isinstance(value, float) for name, value in flat.items() if name not in texts)
+    assert all(isinstance(value, float) for name, value in flat.items() if name not in (*texts, *FLAGS))
+    assert isinstance(flat["ok"], bool)
 
 
 @every_model
@@ -51,7 +53,7 @@ def test_tables_hold_the_values_of_flat_rows(scheme: Scheme, modes: int | None, 
     columns = []
     for name, names in tables.items():
         # Both tables say whose the values are; in a flat row, all else of heads has a prefix.
-        prefixed = [HEAD + column if name == "heads" and column not in TEXTS else column for column in names]
+        prefixed = [HEAD + column if name == "heads" and column not in (*TEXTS, *FLAGS) else column for column in names]
         assert table_values(name, row) == [flat[column] for column in prefixed]
         columns += [column for column in prefixed if column not in columns]
     assert columns == list(flat)
@@ -61,7 +63,7 @@ def test_values_stand_under_their_names() -> None:
     row = SURE[1]
     flat = flat_row(row)
     assert (flat["image"], flat["face"], flat["box"]) == ("1.jpg", "1_1", "haar-frontal")
-    assert [flat[name] for name in ("x", "y", "width", "height")] == list(row["box"].values())[:4]
+    assert [flat[name] for name in ("x", "y", "width", "height", "rotation")] == list(row["box"].values())[:5]
     assert [flat["x68"], flat["y68"]] == row["landmarks"][67]
     assert [flat[f"{HEAD}{axis}68"] for axis in "xyz"] == row["landmarks_3d"][67]
     assert [flat[f"{HEAD}{angle}"] for angle in ("roll", "pitch", "yaw")] == list(row["pose"].values())

@@ -29,7 +29,7 @@ def model(request: pytest.FixtureRequest) -> Model:
 
 @pytest.fixture(scope="module")
 def box(portrait: np.ndarray) -> np.ndarray:
-    (face,) = jaxfit.detect_faces(portrait)
+    (face,) = jaxfit.detect_faces(portrait, "haar")
     assert face.kind == KIND
     return face.box
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from jaxfit.data.rows import PROBLEM, head_columns, landmark_columns
+from jaxfit.data.rows import PROBLEM, head_columns, landmark_columns, table_text
 from jaxfit.data.writers import WRITERS
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits, Problem
@@ -42,6 +42,7 @@ def made(kind: str, seed: int = 0) -> Fits:
         pictures=PICTURES,
         boxes=rng.uniform(10, 90, (COUNT, 4)),
         kinds=(SQUARE, "haar-frontal", SQUARE, SQUARE, "dlib", SQUARE),
+        rotations=rng.uniform(-40, 40, COUNT),
         problems=(Problem(2, "in/c.png", "no face found"), Problem(3, "d.jpg", "the fit diverged", LOST)),
         **arrays,
     )
@@ -253,7 +254,7 @@ def test_problems_are_rows_only_if_asked_for(fits: Fits) -> None:
     assert [row for row in rows if PROBLEM not in row] == list(fits.rows())
     faceless, lost = (row for row in rows if PROBLEM in row)
     assert faceless == {"image": "in/c.png", PROBLEM: "no face found"}
-    assert {*lost} == {"image", "face", "size", "box", PROBLEM}
+    assert {*lost} == {"image", "face", "size", "box", "ok", PROBLEM}
     assert (lost["image"], lost["face"], lost[PROBLEM]) == ("d.jpg", "d_1", "the fit diverged")
     assert [row["image"] for row in rows] == ["in/a.png"] * 2 + ["in/b.png", "in/c.png"] + ["d.jpg"] * 3
 
@@ -262,16 +263,18 @@ def test_dicts_have_the_columns_and_values_of_the_tables(fits: Fits, tmp_path: P
     WRITERS["csv"](tmp_path, fits.rows())
     tables = {path.stem: list(csv.DictReader(path.read_text().splitlines())) for path in tmp_path.iterdir()}
     assert set(tables) == ({"landmarks", "heads"} if fits.b is not None else {"landmarks"})
-    heads = [{f"head_{name}": value for name, value in head.items()} for head in tables.get("heads", [])]
+    heads = [
+        {f"head_{name}": value for name, value in head.items() if name != "ok"} for head in tables.get("heads", [])
+    ]
     rows = fits.to_dicts()
     assert [*fits.columns] == [*landmark_columns(SCHEME, fits.confidence is not None)] + [
-        f"head_{name}" for name in (head_columns(SCHEME, MODES)[2:] if heads else ())
+        f"head_{name}" for name in (head_columns(SCHEME, MODES)[3:] if heads else ())
     ]
     for number, (row, written) in enumerate(zip(rows, tables["landmarks"], strict=True)):
         assert tuple(row) == fits.columns
         expected = written | (heads[number] if heads else {})
         for name, value in row.items():
-            assert expected[name] == (value if isinstance(value, str) else f"{value:.3f}")
+            assert expected[name] == table_text(value)
 
 
 def test_dicts_of_problems_have_all_columns(fits: Fits) -> None:

@@ -78,7 +78,8 @@ GREY, COLOUR = cv2.IMREAD_GRAYSCALE, cv2.IMREAD_COLOR
 @pytest.mark.parametrize(
     ("work", "of_jpeg"),
     [
-        (lambda model, files: jaxfit.fit(model, files), GREY),
+        (lambda model, files: jaxfit.fit(model, files), COLOUR),
+        (lambda model, files: jaxfit.fit(model, files, detector="haar"), GREY),
         (lambda model, files: jaxfit.fit(model, files, detector="whole"), GREY),
         (lambda model, files: jaxfit.fit(model, files, detector=Corners()), GREY),
         (lambda model, files: jaxfit.fit(model, files, detector=Corners(colour=True)), COLOUR),
@@ -89,7 +90,19 @@ GREY, COLOUR = cv2.IMREAD_GRAYSCALE, cv2.IMREAD_COLOR
         (lambda model, files: find_faces(files, Corners()), GREY),
         (lambda model, files: find_faces(files, Corners(colour=True)), COLOUR),
     ],
-    ids=["haar", "whole", "grey", "colour", "bytes", "boxes", "two boxes", "crops", "found in grey", "found in colour"],
+    ids=[
+        "yunet",
+        "haar",
+        "whole",
+        "grey",
+        "colour",
+        "bytes",
+        "boxes",
+        "two boxes",
+        "crops",
+        "found in grey",
+        "found in colour",
+    ],
 )
 def test_a_picture_is_decoded_once_and_in_grey_if_that_will_do(
     model: Model, folder: Path, monkeypatch: pytest.MonkeyPatch, work: Callable, of_jpeg: int
@@ -135,7 +148,7 @@ def test_a_group_without_pictures_has_fits_of_nobody(method: str) -> None:
     some, none = stream(Pipeline(random_model(method)), [[], []], 0)
     assert some == none
     assert (len(none), none.names, none.problems, none.sizes.shape) == (0, (), (), (0, 2))
-    shapes = {"pictures": (0,), "boxes": (0, 4), "landmarks": (0, 21, 2)}
+    shapes = {"pictures": (0,), "boxes": (0, 4), "rotations": (0,), "landmarks": (0, 21, 2)}
     if method == "regression3d":
         assert none.b is not None
         shapes |= {"landmarks_3d": (0, 21, 3), "pose": (0, 3), "scale": (0,), "b": none.b.shape}

@@ -55,7 +55,12 @@ class World:
         return found
 
     def fit(
-        self, model: object, images: Sequence[np.ndarray], boxes: Sequence[np.ndarray], kind: object = SQUARE
+        self,
+        model: object,
+        images: Sequence[np.ndarray],
+        boxes: Sequence[np.ndarray],
+        kind: object = SQUARE,
+        rotations: object = None,
     ) -> Fits:
         confidences = np.full(len(images), np.nan if self.confidence is None else self.confidence)
         landmarks = np.full((len(images), 4, 2), np.nan)
@@ -81,8 +86,9 @@ class World:
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> World:
-    world = World()
-    monkeypatch.setattr(import_module("jaxfit.fitting.track"), "fit", world.fit)
+    world, module = World(), import_module("jaxfit.fitting.track")
+    monkeypatch.setattr(module, "fit", world.fit)
+    monkeypatch.setattr(module, "upright_rotation", lambda model, landmarks: 0.0)
     return world
 
 

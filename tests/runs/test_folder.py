@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 from csv_files import labelled_box, read_csv, write_boxes
+from jax import numpy as jnp
 
 import jaxfit
+from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.overlays import draw_head, draw_landmarks
@@ -191,7 +193,7 @@ def test_3d_models_write_heads(
     points = [f"{axis}{i}" for i in range(1, 22) for axis in "xyz"]
     modes = [f"b{i}" for i in range(1, fits.b.shape[1] + 1)]
     angles = ["roll", "pitch", "yaw"]
-    assert list(rows[0]) == ["image", "face", *angles, "scale", *points, *modes]
+    assert list(rows[0]) == ["image", "face", "ok", *angles, "scale", *points, *modes]
     assert [row["face"] for row in rows] == [row["face"] for row in flat] == [f"{pictures[n].stem}_1" for n in (0, 2)]
     for row, plane, number in zip(rows, flat, (0, 2), strict=True):
         assert row["image"] == plane["image"] == str(pictures[number])
@@ -352,3 +354,34 @@ def test_names_of_files_need_not_be_text(run: FolderRun, drawn: Path, tmp_path: 
     out = Path(run.out)
     assert b"\xe9t\xe9.png,\xe9t\xe9_1," in (out / "landmarks.csv").read_bytes()
     assert b"\xff.png,the file is empty" in (out / "problems.csv").read_bytes()
+
+
+def test_doubtful_faces_stand_apart_if_so_wished(
+    drawn_model: Path, boxes: Path, pictures: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(InputError, match="model with a confidence"):
+        fit_folder(FolderRun(tmp_path / "none", drawn_model, boxes=boxes, min_confidence=0.5), pictures)
+    stream = folder.stream
+
+    def with_confidence(*given: Any) -> Iterator[jaxfit.Fits]:
+        """The first face of each chunk is doubtful."""
+        for fits in stream(*given):
+            yield replace(fits, confidence=np.where(np.cumsum(fits.fitted) == 1, 0.2, 0.9))
+
+    monkeypatch.setattr(folder, "stream", with_confidence)
+    monkeypatch.setattr(folder, "load", lambda path: replace(jaxfit.load(path), confidence=_confidence()))
+    everything = fit_folder(FolderRun(tmp_path / "all", drawn_model, boxes=boxes), pictures)
+    assert (everything.faces, everything.doubtful) == (10, 3)
+    rows = read_csv(tmp_path / "all" / "landmarks.csv")
+    fit_folder(FolderRun(tmp_path / "some", drawn_model, boxes=boxes, min_confidence=0.5), pictures)
+    sure, doubtful = (read_csv(tmp_path / "some" / name) for name in ("landmarks.csv", "doubtful.csv"))
+    assert sure == [row for row in rows if row["ok"] == "1"]
+    assert doubtful == [row for row in rows if row["ok"] == "0"]
+    assert len(doubtful) == 3
+    assert len(list((tmp_path / "some" / "pts").iterdir())) == 7
+
+
+def _confidence() -> Confidence:
+    """Of the drawn model: five points seen by SIFT, two steps."""
+    sizes = [(5 * 128, 3), (count_moves(2), 3), (3,), (3,), ()]
+    return Confidence(*(jnp.zeros(size, jnp.float32) for size in sizes))
