@@ -63,7 +63,11 @@ def test_metadata(wheel: zipfile.ZipFile) -> None:
     assert metadata["Version"] == jaxfit.__version__
     assert metadata["License-Expression"] == "MIT"
     licences = metadata.get_all("License-File") or []
-    assert set(licences) == {"LICENSE", "jaxfit/heads/bundled/LICENSE-ICT-FaceKit.txt"}
+    assert set(licences) == {
+        "LICENSE",
+        "jaxfit/heads/bundled/LICENSE-ICT-FaceKit.txt",
+        "jaxfit/data/detectors/bundled/LICENSE-YuNet.txt",
+    }
     assert all(name.replace("METADATA", f"licenses/{file}") in wheel.namelist() for file in licences)
 
 

@@ -30,7 +30,7 @@ class Middle:
 
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(DETECTORS, "drawn", Middle)
+    monkeypatch.setitem(DETECTORS, "drawn", lambda search: Middle())
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ def boxed(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> lis
     for number in range(FACES):
         picture = portrait[3 * number :, 2 * number :]
         write_image(folder / f"{number}.png", picture)
-        (found,) = jaxfit.detect_faces(picture)
+        (found,) = jaxfit.detect_faces(picture, "haar")
         x, y, width, height = found.box
         box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
         records.append(_record(folder / f"{number}.png", box))
@@ -48,7 +48,7 @@ def _record(image: Path, box: np.ndarray | None) -> FaceRecord:
 def test_boxes_moved_and_shrunk_are_placed_back(boxed: list[FaceRecord], portrait: np.ndarray) -> None:
     model = jaxfit.load("sdm68")
     learned, known = calibrate_boxes(model, boxed), model.placement("haar-frontal")
-    (found,) = jaxfit.detect_faces(portrait)
+    (found,) = jaxfit.detect_faces(portrait, "haar")
     x, y, width, height = found.box
     box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
     centre, side = learned.face_in(box)
@@ -90,9 +90,9 @@ def test_who_is_tested_does_not_tell_how_boxes_lie(boxed: list[FaceRecord], monk
     model = jaxfit.load("sdm68")
     looked, measured = [], []
 
-    def detected(grey: np.ndarray) -> list:
+    def detected(grey: np.ndarray, name: str) -> list:
         looked.append(grey.shape)
-        return detect_faces(grey)
+        return detect_faces(grey, name)
 
     def measure(boxes, landmarks, mean, face):
         measured.append(boxes.tolist())

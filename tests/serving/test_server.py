@@ -46,7 +46,7 @@ def portrait_file() -> Path:
 
 def make_service() -> Service:
     models = {name: jaxfit.load(name) for name in ("fast68", "regression68-3d")}
-    return Service(models, {name: detector_named(name) for name in ("haar", "whole")})
+    return Service(models, {name: detector_named(name) for name in ("yunet", "whole")})
 
 
 @contextmanager
@@ -113,20 +113,20 @@ def raw(server: Server, data: bytes) -> bytes:
 
 @pytest.mark.parametrize("model", ["fast68", "regression68-3d"])
 def test_answers_are_the_fits(server: Server, portrait_file: Path, model: str) -> None:
-    status, answer, _ = ask(server, "POST", f"/fit?model={model}&detector=haar", portrait_file.read_bytes())
+    status, answer, _ = ask(server, "POST", f"/fit?model={model}&detector=yunet", portrait_file.read_bytes())
     fits = jaxfit.fit(jaxfit.load(model), [jaxfit.read_image(portrait_file)])
     assert status == 200
     assert [answer["width"], answer["height"], answer["problems"]] == [512, 600, []]
     (face,) = answer["faces"]
     assert face["size"] == {"width": 512, "height": 600}
-    assert face["box"].pop("kind") == "haar-frontal"
-    assert list(face["box"]) == ["x", "y", "width", "height"]
-    np.testing.assert_allclose(list(face["box"].values()), fits.boxes[0], atol=1e-3)
+    assert face["box"].pop("kind") == "yunet"
+    assert list(face["box"]) == ["x", "y", "width", "height", "rotation"]
+    np.testing.assert_allclose(list(face["box"].values()), [*fits.boxes[0], fits.rotations[0]], atol=1e-3)
     np.testing.assert_allclose(face["landmarks"], fits.landmarks[0], atol=0.05)
     if fits.pose is None or fits.landmarks_3d is None or fits.scale is None:
-        assert face.keys() == {"size", "box", "landmarks"}
+        assert face.keys() == {"size", "box", "ok", "landmarks"}
     else:
-        assert face.keys() == {"size", "box", "landmarks", "pose", "scale", "landmarks_3d", "b", "outline"}
+        assert face.keys() == {"size", "box", "ok", "landmarks", "pose", "scale", "landmarks_3d", "b", "outline"}
         np.testing.assert_allclose(face["landmarks_3d"], fits.landmarks_3d[0], atol=0.05)
         assert list(face["pose"]) == ["roll", "pitch", "yaw"]
         np.testing.assert_allclose(list(face["pose"].values()), fits.pose[0], atol=0.05)
@@ -144,7 +144,7 @@ def test_pictures_of_all_types(server: Server, suffix: str) -> None:
 
 
 def test_a_picture_without_a_face_is_no_error(server: Server) -> None:
-    status, answer, _ = ask(server, "POST", "/fit?model=fast68&detector=haar", encoded())
+    status, answer, _ = ask(server, "POST", "/fit?model=fast68&detector=yunet", encoded())
     assert (status, answer) == (200, {"width": 80, "height": 90, "faces": [], "problems": []})
 
 
@@ -196,7 +196,7 @@ def test_options(server: Server) -> None:
     ]
     assert options["models"][0]["landmarks"] == 68
     assert max(index for points in options["models"][0]["lines"] for index in points) == 67
-    assert options["detectors"] == ["haar", "whole"]
+    assert options["detectors"] == ["yunet", "whole"]
     assert options["most_bytes"] == MOST_BYTES
 
 
@@ -392,7 +392,7 @@ def test_nothing_is_written(
     listening = True
     try:
         for data in (portrait_file.read_bytes(), encoded(), b"garbage", encoded()[:-9], bytes(MOST_BYTES)):
-            ask(server, "POST", "/fit?model=fast68&detector=haar", data)
+            ask(server, "POST", "/fit?model=fast68&detector=yunet", data)
     finally:
         listening = False
     assert opened == []
@@ -409,10 +409,10 @@ def test_what_the_page_begins_with_is_compiled_first(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(service, "warm_up", lambda model, **how: done.append((model, how)))
     monkeypatch.setattr(service, "_fitted", fitted)
     models = {"first": jaxfit.load("regression68-3d"), "second": jaxfit.load("fast68")}
-    fitting = Service(models, {"haar": detector_named("haar")})
+    fitting = Service(models, {"yunet": detector_named("yunet")})
     fitting.warm_up()
-    assert fitting.fit(encoded(), "second", "haar") == NOTHING
-    assert done == [(models["first"], {"batches": (1,), "passes": 2}), "picture"]
+    assert fitting.fit(encoded(), "second", "yunet") == NOTHING
+    assert done == [(models["first"], {"batches": (1,), "passes": 1}), "picture"]
     fitting.close()
 
 
@@ -422,7 +422,7 @@ def test_wrong_arguments(server: Server) -> None:
     with pytest.raises(InputError, match="between 0 and 65535; got 65536"):
         Server(server.service, 65536)
     with pytest.raises(InputError, match="0 and 1"):
-        Service({}, {"haar": detector_named("haar")})
+        Service({}, {"yunet": detector_named("yunet")})
 
 
 # Shells have their background jobs, and all that these start, ignore Ctrl-C.

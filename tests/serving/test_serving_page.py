@@ -43,7 +43,7 @@ def portrait_file() -> Path:
 @contextmanager
 def running(port: int = 0) -> Iterator[Server]:
     models = {name: jaxfit.load(name) for name in ("fast68", "regression68-3d")}
-    service = Service(models, {name: detector_named(name) for name in ("haar", "whole")})
+    service = Service(models, {name: detector_named(name) for name in ("yunet", "whole")})
     with Server(service, port) as server:
         thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
@@ -205,7 +205,7 @@ def test_wrong_pictures_do_not_stop_the_others(
             page.get_by_role("button", name="Save CSV").click()
         with open(event.value.path(), encoding="utf-8", newline="") as file:
             (row,) = csv.DictReader(file)
-        assert (row["image"], row["face"], row["box"]) == ("grace_hopper.jpg", "1", "haar-frontal")
+        assert (row["image"], row["face"], row["box"]) == ("grace_hopper.jpg", "1", "yunet")
         landmarks = [[float(row[f"{axis}{i}"]) for axis in "xy"] for i in range(1, 69)]
         np.testing.assert_allclose(landmarks, saved[3]["faces"][0]["landmarks"])
         page.get_by_role("button", name="Remove all").click()
