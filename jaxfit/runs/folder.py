@@ -223,7 +223,12 @@ def _fit_missing(
     missing = [number for number in range(len(slices)) if not chunks.has(number)]
     sources = ([_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing)
     left = sum(len(files[slices[number]]) for number in missing)
-    with closing(stream(pipeline, sources, left, progress)) as results:
+    done_before = len(files) - left
+
+    def report(stage: str, done: int, total: int) -> None:
+        progress(stage, done_before + done, len(files))
+
+    with closing(stream(pipeline, sources, left, report)) as results:
         for number, fits in zip(missing, results, strict=True):
             some = slices[number]
             fits = refine(model, fits) if run.refine else fits
@@ -233,7 +238,7 @@ def _fit_missing(
             if overlays is not None:
                 rows += _draw(overlays, model.scheme, files[some], labels[some], rows)
             chunks.put(number, rows)
-    return len(files) - left
+    return done_before
 
 
 def _source(path: Path, boxes: _Boxes | None, kind: str) -> Source:

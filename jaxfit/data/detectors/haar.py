@@ -17,7 +17,7 @@ FRONTAL, PROFILE = "haar-frontal", "haar-profile"
 _SCALE_FACTOR = 1.1
 _SURE, _UNSURE = 3, 1  # overlapping finds that make a face
 _SEEN = 24  # pixels of the smallest face that is looked for, in a picture that is shrunk for it
-# Of background that is added where nothing is found: pictures cut close to a face lack what the cascades want around it.
+# Of background, added where nothing is found: pictures cut close to a face lack what the cascades want around it.
 _MARGIN = 0.1
 
 _FRONTAL_FILE = "haarcascade_frontalface_alt2.xml"
