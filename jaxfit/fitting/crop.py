@@ -23,6 +23,7 @@ def crop_faces(
     boxes: ArrayLike,
     *,
     kind: str | Sequence[str] = SQUARE,
+    rotations: ArrayLike | None = None,
     read: Read | None = None,
 ) -> tuple[Crops, tuple[Problem, ...]]:
     """Cut the crops that the model's cascade works on.
@@ -32,6 +33,7 @@ def crop_faces(
         images: N pictures, as in ``jaxfit.fit``.
         boxes: (N, 4) x, y, width, height of the faces, in pixels.
         kind: what drew the boxes, one of ``model.known_placements``; or N of them.
+        rotations: (N,) how far the faces are turned, as in ``jaxfit.fit``: their crops are upright.
         read: as in ``jaxfit.fit``. If it raises `jaxfit.errors.ImageError` or an `OSError`, this picture alone has a
             problem.
 
@@ -39,11 +41,11 @@ def crop_faces(
         The crops; and for each face that cannot be cut, whose crop is black, a problem.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), or ``kind`` is unknown.
+        InputError: ``boxes`` is not (N, 4), ``rotations`` is not (N,), or ``kind`` is unknown.
     """
     require_several(images)
     pipeline = Pipeline(model, read=read)
-    sources = sources_of(model, images, boxes, kind)
+    sources = sources_of(model, images, boxes, kind, rotations)
     work = (partial(_cut_some, pipeline, sources[at : at + _TOGETHER]) for at in range(0, len(sources), _TOGETHER))
     faces: list[Crop | str] = []
     with closing(in_order(work, reading_threads(len(sources)))) as parts:
