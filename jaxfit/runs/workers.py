@@ -12,6 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.pictures import NAMELESS
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
@@ -111,6 +112,8 @@ def _loaded(model: str | Path, detector: str, search: Search, cores: int) -> tup
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:
     """What `BatchFitter` returns."""
     rows = replace(fits, names=tuple(names)).to_dicts(problems=True)
+    for row in rows:  # of bytes, too, the picture stands in another column
+        row[PROBLEM] = row[PROBLEM].removeprefix(f"{NAMELESS}: ")
 
     def column(name: str) -> np.ndarray:
         values = [row[name] for row in rows]

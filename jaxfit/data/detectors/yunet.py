@@ -27,6 +27,7 @@ _TILE, _SHARED = 1280, 256  # sides of the parts that a large level is looked at
 _SCORE = 0.7
 _SAME = 0.3  # overlap from which two finds are one face
 _MOST = 5000  # finds in a part
+_NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower ones the network finds what is not there
 # Degrees from which a turned face is looked at again, turned upright, in a patch of so many pixels, at such a size.
 # so often, until it is as good as upright.
 _TURNED, _UPRIGHT, _LOOKS, _PATCH, _PATCH_FACE = 12.0, 4.0, 3, 192, 80.0
@@ -134,6 +135,8 @@ class YuNet:
     def _found(self, bgr: np.ndarray) -> np.ndarray:
         """A row a face: x, y, width, height, the two eyes, the nose, the corners of the mouth, and the score."""
         size = (bgr.shape[1], bgr.shape[0])
+        if min(size) < _NARROWEST:
+            return np.empty((0, 15), np.float32)
         if not hasattr(self._of_thread, "network"):
             score = _SCORE if self.search.score is None else self.search.score
             with resources.as_file(resources.files(__package__) / "bundled" / _FILE) as bundled:
