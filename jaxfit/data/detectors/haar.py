@@ -52,7 +52,7 @@ class Haar:
 
     @property
     def rough(self) -> bool:
-        """Yes: docs/boxes.md has both."""
+        """Yes: a second pass saves failures, as ``scripts/detectors.py`` measures."""
         return True
 
     def __call__(self, image: np.ndarray) -> list[Detection]:

@@ -18,7 +18,7 @@ from jaxfit.errors import InputError
 KIND = "yunet"
 
 _FILE = "face_detection_yunet_2023mar.onnx"
-# Measured on labelled faces (docs/measured/boxes.md): of faces that are 32 pixels wide for the network hardly any is
+# Measured on labelled faces of those sizes: of faces that are 32 pixels wide for the network hardly any is
 # missed, of 24 pixels 1 in 25, of 16 pixels every fourth; faces of 600 pixels are still found.
 _SEEN = 32.0  # width of the smallest face, in the network's pixels
 _LARGEST = 640  # longer side, in the network's pixels, from which a coarser level looks for larger faces
@@ -90,7 +90,7 @@ class YuNet:
 
     @property
     def rough(self) -> bool:
-        """No: docs/boxes.md has both."""
+        """No: a second pass gains nothing, as ``scripts/detectors.py`` measures."""
         return False
 
     def __call__(self, image: np.ndarray) -> list[Detection]:
