@@ -137,13 +137,13 @@ def finetune_cascade(
     if count == 0:
         raise InputError("expected faces to learn from; got none")
     batches = -(-count // tuning.batch)
-    optimiser = _optimiser(tuning, batches)
+    rates = _rates(tuning, batches)
     learned = Learned(cascade.weights, cascade.biases, cascade.directions)
     depths = _depths(cascade, faces)
     drawn = _Drawn(spread.sigmas * tuning.spread, jnp.float32(turn))
     of_checked = None if check is None else _depths(cascade, check)
     checked = partial(_checked, cascade, check, of_checked, drawn._replace(sigmas=spread.sigmas), tuning)
-    state = resume(Progressed(learned, optimiser.init(learned), learned, jnp.asarray([checked(learned)])))
+    state = resume(Progressed(learned, _OPTIMISER.init(learned), learned, jnp.asarray([checked(learned)])))
     done = len(state.errors) - 1
     for epoch in range(done, tuning.epochs):
         # Both are overwritten in place.
@@ -160,9 +160,10 @@ def finetune_cascade(
                 _batch_of(faces, depths, rows),
                 random.fold_in(of_epoch, number),
                 drawn,
+                rates[epoch * batches + number],
                 _levels(cascade),
-                tuning,
-                batches,
+                tuning.dropped,
+                tuning.disturbance,
             )
         if of_optimiser.notfinite_count >= batches:
             raise InputError(
@@ -204,13 +205,18 @@ def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray) -> _Batc
     )
 
 
-def _optimiser(tuning: Tuning, batches: int) -> optax.GradientTransformation:
+# A fit that runs away would take everything along: such a batch is left out, however many there are.
+_OPTIMISER = optax.apply_if_finite(
+    optax.chain(optax.clip_by_global_norm(_CLIP), optax.scale_by_adam()), np.iinfo(np.int32).max
+)
+
+
+def _rates(tuning: Tuning, batches: int) -> np.ndarray:
+    """The rate of learning at each step of the optimiser."""
     steps = tuning.epochs * batches
-    rate = optax.warmup_cosine_decay_schedule(
-        _BEGIN * tuning.rate, tuning.rate, max(1, round(_WARM_UP * steps)), max(2, steps)
-    )
-    # A fit that runs away would take everything along: such a batch is left out.
-    return optax.apply_if_finite(optax.chain(optax.clip_by_global_norm(_CLIP), optax.adam(rate)), steps)
+    warm_up = max(1, round(_WARM_UP * steps))
+    schedule = optax.warmup_cosine_decay_schedule(_BEGIN * tuning.rate, tuning.rate, warm_up, max(2, steps))
+    return np.asarray(schedule(np.arange(steps)))
 
 
 def _sizes(cascade: Cascade) -> Learned:
@@ -318,7 +324,7 @@ def _mean_known(values: Float[Array, "faces landmarks"]) -> Scalar:
     return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(), 1)
 
 
-@partial(jax.jit, static_argnames=("levels", "tuning", "batches"), donate_argnames=("learned", "of_optimiser"))
+@partial(jax.jit, static_argnames=("levels", "dropped", "disturbance"), donate_argnames=("learned", "of_optimiser"))
 def _updated(
     cascade: Cascade,
     learned: Learned,
@@ -326,20 +332,21 @@ def _updated(
     batch: _Batch,
     key: Array,
     drawn: _Drawn,
+    rate: Scalar,
     levels: tuple[int, ...],
-    tuning: Tuning,
-    batches: int,
+    dropped: float,
+    disturbance: Disturbance,
 ) -> tuple[Learned, Any]:
     """What is learned, and the optimiser's state, after one batch."""
     of_pictures, of_starts, of_landmarks = random.split(key, 3)
-    batch = _disturbed(of_pictures, _upright(batch), tuning.disturbance, cascade.frame.middle)
+    batch = _disturbed(of_pictures, _upright(batch), disturbance, cascade.frame.middle)
     states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, drawn)
 
     def loss(learned: Learned) -> Scalar:
-        return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, tuning.dropped)
+        return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, dropped)
 
-    changes, of_optimiser = _optimiser(tuning, batches).update(jax.grad(loss)(learned), of_optimiser)
-    changes = jax.tree.map(jnp.multiply, changes, _sizes(cascade))
+    changes, of_optimiser = _OPTIMISER.update(jax.grad(loss)(learned), of_optimiser)
+    changes = jax.tree.map(lambda change, size: -rate * change * size, changes, _sizes(cascade))
     return optax.apply_updates(learned, changes), of_optimiser
 
 

@@ -1,6 +1,10 @@
 """Bilinear sampling of a picture at real coordinates; outside the picture its edge is repeated."""
 
+from typing import Any
+
+import jax
 from jax import numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from jaxfit.types import Picture
@@ -36,6 +40,7 @@ def bilinear(packed: Packed, x: Float[Array, "*samples"], y: Float[Array, "*samp
     return upper + bottom_share * (lower - upper)
 
 
+@jax.custom_jvp
 def bilinear_grid(
     picture: Picture, x: Float[Array, "columns"], y: Float[Array, "rows"]
 ) -> Float[Array, "rows columns"]:
@@ -46,8 +51,38 @@ def bilinear_grid(
     return _interpolate_rows(_interpolate_rows(picture, y).T, x).T
 
 
+def _moved_grid(primals: tuple, tangents: tuple) -> tuple[Any, Any]:
+    """The grid and its change: the picture's slopes times the moves.
+
+    JAX's own rule comes to the same, but adds up changes of looked-up rows one by one: 50 times as slow on CPU.
+    """
+    picture, x, y = primals
+    of_picture, of_x, of_y = tangents
+    rows = _interpolate_rows(picture, y)
+    change = jnp.zeros((len(y), len(x)), rows.dtype)
+    if not isinstance(of_x, SymbolicZero):
+        change += _slopes_of_rows(rows.T, x).T * of_x
+    if not isinstance(of_y, SymbolicZero):
+        change += _interpolate_rows(_slopes_of_rows(picture, y).T, x).T * of_y[:, None]
+    if not isinstance(of_picture, SymbolicZero):
+        change += bilinear_grid(of_picture, x, y)
+    return _interpolate_rows(rows.T, x).T, change
+
+
+bilinear_grid.defjvp(_moved_grid, symbolic_zeros=True)
+
+
 def _interpolate_rows(picture: Picture, y: Float[Array, "rows"]) -> Float[Array, "rows width"]:
     top, share = split(y, picture.shape[0])
     upper = picture.at[top].get(mode="promise_in_bounds")
     lower = picture.at[top + 1].get(mode="promise_in_bounds")
     return upper + share[:, None] * (lower - upper)
+
+
+def _slopes_of_rows(picture: Picture, y: Float[Array, "rows"]) -> Float[Array, "rows width"]:
+    """How ``_interpolate_rows`` changes with ``y``: not at all outside the picture."""
+    height = picture.shape[0]
+    top, _ = split(y, height)
+    upper = picture.at[top].get(mode="promise_in_bounds")
+    lower = picture.at[top + 1].get(mode="promise_in_bounds")
+    return jnp.where((y >= 0) & (y <= height - 1), 1.0, 0.0)[:, None] * (lower - upper)

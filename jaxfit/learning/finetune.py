@@ -27,7 +27,7 @@ from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import Scheme, mirror_order
 
 _CHECKPOINT = "jaxfit-finetuning"
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True)
