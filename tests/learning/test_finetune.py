@@ -57,7 +57,7 @@ def test_what_comes_out(cautious, heads, tmp_path: Path) -> None:
 
 def test_in_3d_shapes_and_poses_are_learned(head_models, heads) -> None:
     model = head_models["regression3d"]
-    tuned = jaxfit.finetune(model, heads, tuning=replace(TUNING, epochs=20), validation=0.25)
+    tuned = jaxfit.finetune(model, heads, tuning=replace(TUNING, epochs=12), validation=0.25)
     assert tuned.errors[-1] < 0.7 * tuned.errors[0]
     # From boxes that are far off: the greedy cascade is good at all others.
     rng = np.random.default_rng(0)
