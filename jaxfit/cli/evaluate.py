@@ -55,7 +55,7 @@ from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
 _ERROR_3D = "3D median"
-_COLUMNS = {"dataset": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
+_COLUMNS = {"dataset": "", "relative to": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
 _BOX_COLUMNS = ("x", "y", "width", "height")
 _POSE_COLUMNS = tuple(f"{of}{angle}" for of in ("", "true_") for angle in ANGLES)
 _MEASURED_COLUMNS = (*_BOX_COLUMNS, "nmed", "nmed_3d", *_POSE_COLUMNS, "pose_order")
@@ -84,8 +84,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--normaliser",
         choices=NORMALISERS,
-        default="outer",
-        help="what distances are divided by: outer eye corners (default), pupil centres, bounding square",
+        help="what distances are divided by: outer eye corners, pupil centres, bounding square (default: the outer eye "
+        "corners; the square where labels have none, or faces are turned by over 45 degrees)",
     )
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
@@ -154,8 +154,8 @@ def run(options: argparse.Namespace) -> int:
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
     print(
-        f"NMED over {NORMALISERS[options.normaliser].title}. The mean is over fitted faces; faces without a fit count "
-        "in the median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
+        "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
+        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
     print(text_table([_row(spec, result) for spec, result in results.items()], columns))
@@ -227,6 +227,7 @@ def _row(spec: str, result: Evaluation) -> dict[str, object]:
     median_3d = None if result.errors_3d is None else summarise(result.errors_3d).median
     return {
         "dataset": spec,
+        "relative to": NORMALISERS[result.normaliser].title,
         **summary_row(result.errors),
         _ERROR_3D: median_3d,
         "ms/face": result.seconds_per_face * 1000,

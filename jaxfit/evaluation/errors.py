@@ -3,11 +3,11 @@
 import numpy as np
 
 from jaxfit.errors import InputError
-from jaxfit.schemes.normalisers import annotated, distance, normaliser_length
+from jaxfit.schemes.normalisers import annotated, default_normaliser, distance, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 
 
-def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str = "outer") -> np.ndarray:
+def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str | None = None) -> np.ndarray:
     """Normalised mean Euclidean distance of each face over its annotated landmarks, Eq. 16.
 
     Args:
@@ -15,7 +15,7 @@ def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str 
             read.
         truth: (N, L, D) true landmarks in pixels; NaN where unknown.
         scheme: what the landmarks mean.
-        normaliser: one of ``NORMALISERS``.
+        normaliser: one of ``NORMALISERS``; None takes `default_normaliser`.
 
     Returns:
         (N,) errors as a share of the normaliser. ``inf`` is a failure: the fit lacks an annotated landmark.
@@ -30,7 +30,7 @@ def nmed(fitted: np.ndarray, truth: np.ndarray, scheme: Scheme, normaliser: str 
             f"fitted and true landmarks must both be (faces, {scheme.count}, 2) or both (faces, {scheme.count}, 3); "
             f"got {np.shape(fitted)} and {np.shape(truth)}"
         )
-    lengths = normaliser_length(truth, scheme, normaliser)
+    lengths = normaliser_length(truth, scheme, normaliser or default_normaliser(scheme))
     points = annotated(truth)
     counted = np.isfinite(points[..., 0])
     distances = np.where(counted, distance(np.asarray(fitted, dtype=np.float64), points), 0.0)

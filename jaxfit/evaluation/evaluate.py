@@ -27,11 +27,12 @@ from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import exchanged, gathered, require_same, share_of
 from jaxfit.schemes.conversions import convert, sources
-from jaxfit.schemes.normalisers import normaliser_length
+from jaxfit.schemes.normalisers import default_normaliser, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.pose_order import in_order
 
 _NO_BOX = np.full(4, np.nan)
+_WIDE = 45.0  # degrees of yaw: of a head that is turned further, the outer eye corners come together
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +193,7 @@ def evaluate(
     kind: str | Sequence[str] = SQUARE,
     rotations: np.ndarray | None = None,
     scheme: Scheme | None = None,
-    normaliser: str = "outer",
+    normaliser: str | None = None,
     starts: Starts = Starts(),
     passes: int = 1,
     read: Read = read_grey,
@@ -209,7 +210,8 @@ def evaluate(
         kind: what drew the boxes, as in ``jaxfit.fit``: one for all, or N.
         rotations: (N,) how far the faces are turned, as in ``jaxfit.fit``.
         scheme: what the labels mean, if not what the model's landmarks do: fits are converted to it.
-        normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
+        normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side; None takes
+            `usual_normaliser`.
         starts: of each face, as in ``jaxfit.fit``.
         passes: as in ``jaxfit.fit``.
         read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads. By default pictures are
@@ -232,7 +234,7 @@ def evaluate_steps(
     faces: Sequence[FaceRecord],
     boxes: np.ndarray,
     *,
-    normaliser: str = "outer",
+    normaliser: str | None = None,
     read: Read = read_grey,
     progress: Progress = lambda stage, done, total: None,
 ) -> list[Evaluation]:
@@ -242,13 +244,23 @@ def evaluate_steps(
     return [evaluate(each, faces, boxes, normaliser=normaliser, read=read, progress=progress) for each in models]
 
 
-def require_measurable(own: Scheme, scheme: Scheme, normaliser: str, faces: Sequence[FaceRecord]) -> None:
+def usual_normaliser(scheme: Scheme, faces: Sequence[FaceRecord]) -> str:
+    """What errors of labelled faces are divided by, if nobody says otherwise.
+
+    The outer eye corners, if the scheme has them; the bounding square if it has not, or if some of the faces are turned
+    by over 45°, where the eye corners come together.
+    """
+    wide = any(face.pose is not None and abs(face.pose[2]) > _WIDE for face in faces)
+    return "box" if wide else default_normaliser(scheme)
+
+
+def require_measurable(own: Scheme, scheme: Scheme, normaliser: str | None, faces: Sequence[FaceRecord]) -> None:
     """Check, before the work, that errors of fits can be measured.
 
     Args:
         own: what the fits' landmarks mean.
         scheme: what the labels mean.
-        normaliser: what errors are relative to.
+        normaliser: what errors are relative to; None: `usual_normaliser`.
         faces: the labelled faces.
 
     Raises:
@@ -257,7 +269,7 @@ def require_measurable(own: Scheme, scheme: Scheme, normaliser: str, faces: Sequ
     """
     sources(own, scheme)
     require_scheme(scheme, faces)
-    normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser)
+    normaliser_length(np.empty((0, scheme.count, 2)), scheme, normaliser or usual_normaliser(scheme, faces))
 
 
 def fit_labelled(
@@ -326,7 +338,7 @@ def measure(
     faces: Sequence[FaceRecord],
     *,
     scheme: Scheme | None = None,
-    normaliser: str = "outer",
+    normaliser: str | None = None,
     model: Model | None = None,
     seconds_per_face: float = float("nan"),
 ) -> Evaluation:
@@ -345,6 +357,7 @@ def measure(
             converted to, or an unknown normaliser.
     """
     scheme = scheme or fits.scheme
+    normaliser = normaliser or usual_normaliser(scheme, faces)
     require_measurable(fits.scheme, scheme, normaliser, faces)
     if len(fits) != len(faces):
         raise InputError(f"expected a fit for each of {len(faces)} faces; got {len(fits)}")

@@ -24,7 +24,7 @@ from jaxfit.learning.methods import Options
 from jaxfit.learning.prepare import usable_faces
 from jaxfit.learning.train import train
 from jaxfit.models.model import Model
-from jaxfit.schemes.normalisers import normaliser_length
+from jaxfit.schemes.normalisers import default_normaliser
 from jaxfit.schemes.scheme import Scheme
 
 # What is chosen, in this order: the windows last, as other ones need principal axes of their own.
@@ -46,7 +46,7 @@ class Choice:
     Attributes:
         option: its name.
         value: its value.
-        error: mean NMED over the outer eye corners, at most 0.08, of faces of people kept aside.
+        error: mean NMED (`default_normaliser`), at most 0.08, of faces of people kept aside.
         best: what the best options so far left of the same faces.
         faces: how many: not all, if the setting was no better on the first folds.
         p: of the signed-rank test by subject, that it is better by chance.
@@ -125,12 +125,11 @@ def choose_options(
         read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
 
     Raises:
-        InputError: an unknown option or a setting out of range among the candidates, fewer people than folds, no eye
-            corners, or as `train`.
+        InputError: an unknown option or a setting out of range among the candidates, fewer people than folds, or as
+            `train`.
     """
     given, seed = options, options.greedy.seed
     values = _checked(given, default_candidates(given) if candidates is None else candidates)
-    normaliser_length(np.empty((0, scheme.count, 2)), scheme, "outer")
     usable, _ = usable_faces(faces, scheme)
     parts = split_by_subject([face.subject for face in usable], folds, seed)
     kept_aside = [np.flatnonzero(parts == fold) for fold in range(folds)]
@@ -148,7 +147,8 @@ def choose_options(
         how: dict[str, Any] = {"progress": told, "read": read}
         model = train(learned, scheme, method=method, options=setting, axes=shared[fold], **how).model
         boxes = np.concatenate([start_boxes(seen, seed + number) for number in range(_BOXES)])
-        errors = evaluate(model, seen * _BOXES, boxes, starts=setting.starts, **how).errors
+        relative = {"normaliser": default_normaliser(scheme)}
+        errors = evaluate(model, seen * _BOXES, boxes, starts=setting.starts, **relative, **how).errors
         return np.minimum(errors, LIMIT).reshape(_BOXES, -1).mean(0)
 
     best = given.but(detectors=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))

@@ -73,7 +73,7 @@ class SampledFits:
     """N fits of labelled faces, and of what is no face.
 
     Attributes:
-        errors: (N,) NMED over the outer eye corners; ``inf`` where there was no face at all.
+        errors: (N,) NMED (`default_normaliser`); ``inf`` where there was no face at all.
         starts: (N,) how each began: in a box ``"detected"``, as a detector might have drawn it, ``"lost"``, off by up
             to half a face and a factor of 2, ``"elsewhere"`` in the picture, around a ``"part"`` of the face, or as
             detected but ``"upside down"``, or on a ``"pattern"``.
@@ -105,7 +105,7 @@ def learn_confidence(
     read: _Read | None = None,
     progress: Progress = SILENT,
 ) -> Model:
-    """The model with a confidence: the probability that a fit is good, its NMED over the outer eye corners below 0.08.
+    """The model with a confidence: the probability that a fit is good, its NMED (`default_normaliser`) below 0.08.
 
     Trains ``folds`` models as ``model`` says that it was trained, and fine-tuned, each without the people of its fold,
     whom it then fits: that takes about as many times longer than training did.
@@ -411,7 +411,7 @@ def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confid
     detected = starts == DETECTED
     if good[detected].all() or not good[detected].any():
         raise InputError(
-            "expected good and bad fits to learn from: with errors (NMED over the outer eye corners) below and above "
+            "expected good and bad fits to learn from: with errors (NMED) below and above "
             f"{LIMIT}; of {detected.sum()} fits of faces {good[detected].sum()} are good; give more faces"
         )
     mean, deviation = clues.mean(0), clues.std(0) + 1e-6

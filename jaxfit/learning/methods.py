@@ -113,11 +113,13 @@ class Method:
             the last argument is the side of the canonical face, in pixels.
         descriptor: what is seen at a landmark by default.
         in_3d: whether it finds the face in 3D.
+        fewest: landmarks that it needs.
     """
 
     learn_space: Callable[[np.ndarray, Scheme, Options, float], ShapeSpace]
     descriptor: Descriptor
     in_3d: bool = False
+    fewest: int = 3
 
     @property
     def aligns(self) -> bool:
@@ -126,7 +128,7 @@ class Method:
 
 
 METHODS = {
-    "sdm": Method(_point_space, Sift("upright")),
+    "sdm": Method(_point_space, Sift("upright"), fewest=2),
     "parametric": Method(_similarity_asm, Sift("face")),
     "alignment3d": Method(_similarity_asm, Sift("face"), in_3d=True),
     "regression3d": Method(camera_asm, Sift("face"), in_3d=True),

@@ -15,8 +15,8 @@ from jaxfit.models.placements import Placement
 from jaxfit.schemes.scheme import Scheme, mirrored
 
 SILENT: Progress = lambda stage, done, total: None  # noqa: E731
-# Width to length of a face below which it is a line.
-_FLAT = 0.01
+# Width to length of a face below which it is a line, and above which faces usually are none.
+_FLAT, _WIDE = 0.01, 0.1
 
 
 def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
@@ -25,17 +25,24 @@ def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[Face
     problems = []
     if left_out := len(faces) - len(complete):
         problems.append(f"{left_out} of {len(faces)} faces left out: not all {scheme.count} landmarks are annotated")
-    flat = [_on_a_line(face.landmarks) for face in complete]
-    problems += [
-        f"{face.image}: all landmarks lie on a line" for face, of_face in zip(complete, flat, strict=True) if of_face
-    ]
-    return [face for face, of_face in zip(complete, flat, strict=True) if not of_face], problems
+    widths = np.array([_width(face.landmarks) for face in complete])
+    # Landmarks of some schemes lie near a line on every face; where others do not, such labels are mistakes.
+    narrow = _FLAT if len(widths) and np.median(widths) > _WIDE else 0.0
+    usable = []
+    for face, width in zip(complete, widths, strict=True):
+        if np.ptp(face.landmarks, axis=0).max() == 0:
+            problems.append(f"{face.image}: all landmarks lie in one point")
+        elif width < narrow:
+            problems.append(f"{face.image}: all landmarks lie on a line")
+        else:
+            usable.append(face)
+    return usable, problems
 
 
-def _on_a_line(points: np.ndarray) -> bool:
-    """Whether points (L, 2) lie on a line or in one point: they are no face, and tell no pose."""
-    across, along = np.linalg.eigvalsh(np.cov(points.T))
-    return bool(across <= _FLAT**2 * along)
+def _width(points: np.ndarray) -> float:
+    """Width to length of points (L, 2)."""
+    across, along = np.linalg.eigvalsh(np.cov(points.T, bias=True))
+    return float(np.sqrt(max(across, 0.0) / along)) if along > 0 else 0.0
 
 
 def cut_labelled(

@@ -82,11 +82,19 @@ def train(
     kind, seed = method_named(method), options.greedy.seed
     if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
         raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
-    complete, problems = usable_faces(faces, scheme)
     if scheme.count == 0:
         raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
+    if scheme.count < kind.fewest:
+        raise InputError(
+            f"expected at least {kind.fewest} landmarks for the method {method!r}, which has to learn size and shape "
+            f"from them; {scheme.name} has {scheme.count}: label more, or take another method"
+        )
+    complete, problems = usable_faces(faces, scheme)
     if len(complete) < 2:
-        raise InputError(f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)}")
+        raise InputError(
+            f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)} of {len(faces)}: "
+            f"{'; '.join(problems[:3])}"
+        )
     descriptor, frame = view_of(method, options)
     if options.mirror:
         mirror_order(scheme)

@@ -85,6 +85,7 @@ class Model:
         if kind not in known:
             raise InputError(
                 f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}: give it boxes of a kind that "
-                "it knows, or measure this one (jaxfit.learning.calibrate_boxes)"
+                f"it knows (--boxes, boxes=; {SQUARE!r} is the bounding square of all landmarks). Training learns "
+                "the kinds of the detectors that find ten of its faces or more"
             )
         return known[kind]

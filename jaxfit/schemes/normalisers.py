@@ -40,6 +40,11 @@ NORMALISERS = {
 }
 
 
+def default_normaliser(scheme: Scheme) -> str:
+    """The outer eye corners of faces that have them; of all else the bounding square."""
+    return "outer" if NORMALISERS["outer"].known_of(scheme) else "box"
+
+
 def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.ndarray:
     """The length, in pixels, that errors are divided by.
 

@@ -29,7 +29,8 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(
         + ["--boxes", str(bad_boxes), "--out", out],
         "damaged": ["evaluate", str(damaged), "--data", data, "--out", out],
         "no model 'nothing'": ["evaluate", "nothing", "--data", data, "--out", out],
-        "has no normaliser 'outer'": ["evaluate", str(drawn_model), "--data", data, "--out", out],
+        "has no normaliser 'outer'": ["evaluate", str(drawn_model), "--data", data, "--normaliser", "outer"]
+        + ["--out", out],
         "give that file too": ["fit", str(drawn), "--model", str(drawn_model), "--box-kind", "x", "--out", out],
         ".safetensors in a folder that can be written to": ["train", "--data", data]
         + ["--out", str(tmp_path / "model.npz")],

@@ -28,9 +28,8 @@ def test_evaluate_reports_every_face(
     drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert (
-        main(["evaluate", str(drawn_model), "--data", f"pts:{drawn}", "--normaliser", "box", "--out", str(tmp_path)])
-        == 0
-    )
+        main(["evaluate", str(drawn_model), "--data", f"pts:{drawn}", "--out", str(tmp_path)]) == 0
+    )  # of a scheme without eyes: relative to the bounding square
     spec = f"pts:{drawn}"
     report = json.loads((tmp_path / "report.json").read_text())["datasets"][spec]
     faces = read_csv(tmp_path / "faces.csv")

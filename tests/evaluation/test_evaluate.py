@@ -14,9 +14,10 @@ import jaxfit
 from jaxfit.cascade.model import first_steps
 from jaxfit.data.boxes import GivenBox, bounding_square
 from jaxfit.data.pictures import write_image
-from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, measure, start_boxes
+from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, measure, start_boxes, usual_normaliser
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import IBUG68
+from jaxfit.schemes.scheme import Scheme
 
 
 def record(
@@ -93,6 +94,23 @@ def test_faces_without_truth_or_fit_are_counted(tmp_path: Path) -> None:
     assert result.errors[3] == np.inf
     assert [problem.row for problem in result.fits.problems] == [3]
     assert result.seconds_per_face > 0
+
+
+@pytest.mark.parametrize(
+    ("scheme", "yaws", "expected"),
+    [
+        (IBUG68, [None, 44.0, np.nan], "outer"),
+        (IBUG68, [None, 0.0, -46.0], "box"),
+        (Scheme("own", 3), [None], "box"),
+    ],
+    ids=["faces", "turned faces", "no eyes"],
+)
+def test_errors_are_relative_to_what_the_faces_have(scheme: Scheme, yaws: list, expected: str) -> None:
+    poses = [None if yaw is None else np.array([0.0, 0.0, yaw]) for yaw in yaws]
+    seen = np.ones(scheme.count, bool)
+    points = np.zeros((scheme.count, 2))
+    faces = [FaceRecord(Path("a.png"), points, seen, seen, None, pose, "a", "a") for pose in poses]
+    assert usual_normaliser(scheme, faces) == expected
 
 
 def test_faces_of_other_landmarks_are_refused() -> None:

@@ -8,8 +8,10 @@ import pytest
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.methods import Options
 from jaxfit.learning.train import train
 from jaxfit.schemes.known import AFLW21, NO_LANDMARKS
+from jaxfit.schemes.scheme import Scheme
 
 FACE = 20 * np.asarray(load_head_model().of(AFLW21, 0.5).mean)[:, :2].astype(float) + 200
 
@@ -29,8 +31,27 @@ def complaints(*faces: FaceRecord) -> str:
 def test_labels_on_a_line_are_left_out_and_reported() -> None:
     line, point = FACE * [1, 0] + FACE[:, :1] * [0, 0.5], np.full_like(FACE, 7.0)
     narrow = FACE * [0.05, 1]  # squeezed, but a face
-    said = complaints(*(record(name, face) for name, face in zip("abcd", (line, point, narrow, FACE), strict=True)))
-    assert "a.png: all landmarks lie on a line; b.png: all landmarks lie on a line; c.png: cannot be read" in said
+    faces = (line, point, narrow, FACE, FACE, FACE)
+    said = complaints(*(record(name, face) for name, face in zip("abcdef", faces, strict=True)))
+    assert "a.png: all landmarks lie on a line; b.png: all landmarks lie in one point; c.png: cannot be read" in said
+
+
+@pytest.mark.parametrize(
+    "shape", [[[0, 0], [9, 0]], [[0, 5], [9, 5], [20, 5], [30, 5.1]]], ids=["two points", "four near a line"]
+)
+def test_landmarks_that_lie_on_a_line_on_every_picture_are_no_mistake(shape: list[list[float]]) -> None:
+    scheme = Scheme("own", len(shape))
+    pictures = [record(name, np.array(shape, float)) for name in "ab"]
+    with pytest.raises(InputError, match=r"readable pictures; got 0: a\.png: cannot be read"):
+        train(pictures, scheme, options=Options(mirror=False))
+
+
+@pytest.mark.parametrize(("method", "fewest"), [("sdm", 2), ("parametric", 3)])
+def test_too_few_landmarks_are_refused_before_the_work(method: str, fewest: int) -> None:
+    faces = [record(name, np.arange(2.0 * fewest - 2).reshape(-1, 2)) for name in "ab"]
+    scheme = Scheme("own", fewest - 1)
+    with pytest.raises(InputError, match=f"at least {fewest} landmarks for the method {method!r}.*has {fewest - 1}"):
+        train(faces, scheme, method=method, options=Options(mirror=False))
 
 
 def test_faces_without_landmarks_are_no_training_data() -> None:
