@@ -8,7 +8,7 @@ import pytest
 
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detectors import Detection, Search, best_match, detect_faces
-from jaxfit.data.detectors.detector import AnyRotation, _turned_back, merged
+from jaxfit.data.detectors.detector import AnyRotation, merged, turned_back
 from jaxfit.data.pictures import read_image, to_grey
 from jaxfit.errors import InputError
 
@@ -87,7 +87,7 @@ def test_a_picture_turned_by_quarters_tells_where_the_face_is_in_it():
     for quarters in range(4):
         turned = np.ascontiguousarray(np.rot90(picture, quarters))
         (plain,) = Bright()(turned)
-        back = _turned_back(plain, quarters, picture.shape)
+        back = turned_back(plain, quarters, picture.shape)
         centres.append(box_centre(back.box) - (0.5, 0.5))
         assert back.rotation == pytest.approx(0, abs=3)
     # Boxes hold pixels from edge to edge, so that the middle of one pixel stays the middle of one.

@@ -116,11 +116,11 @@ class AnyRotation:
         found = []
         for quarters in range(4):
             turned = np.ascontiguousarray(np.rot90(image, quarters))  # counter-clockwise
-            found += [_turned_back(face, quarters, image.shape) for face in self.detector(turned)]
+            found += [turned_back(face, quarters, image.shape) for face in self.detector(turned)]
         return merged(found)
 
 
-def _turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
+def turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
     """A face of a picture that was turned counter-clockwise by so many quarters, in the picture (H, W, …) itself."""
     (x, y, width, height), (rows, columns) = face.box.tolist(), shape[:2]
     if quarters == 1:
