@@ -34,9 +34,14 @@ _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower one
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
 _UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
 _LEANING = 25.0  # degrees up to which hardly a face escapes
-_DOUBTFUL, _CONFIRMED = 0.2, 0.88  # scores of finds that may be turned faces, and of turned faces that are seen upright
+_DOUBTFUL, _CONFIRMED = (
+    0.05,
+    0.88,
+)  # scores of finds that may be turned faces, and of turned faces that are seen upright
+_MOST_DOUBTFUL = 30  # finds of a picture that are looked at again
 _FRAME = Frame(crop=320, face=160.0)
 _SIDES = (45.0, -45.0, 90.0, -90.0)
+_ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
 _BETTER = 0.02  # by which another rotation's score has to be better
 _LOOKS, _ENOUGH = 2, 5.0  # how often a rotation is mended, and degrees from which that pays
 # Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
@@ -106,21 +111,24 @@ class YuNet:
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
-        found = merged((face for quarters in self._sides for face in self._seen_from(bgr, quarters)), _SAME)
-        faces = [self._looked_at_upright(bgr, face) for face in found if face.score >= self._score]
+        finds = [face for quarters in self._quarters for face in self._seen_from(bgr, quarters)]
+        sure = merged((face for face in finds if face.score >= self._score), _SAME)
+        faces = [self._looked_at_upright(bgr, face) for face in sure]
         if not any(face.score >= _SURE and self._leaning(face) < _LEANING for face in faces):
             # The picture may be turned, and its faces be among the doubtful finds.
-            faces += [self._looked_at_upright(bgr, face) for face in found if face.score < self._score]
+            doubtful = sorted((face for face in finds if face.score < self._score), key=lambda face: face.score)
+            others = [face for face in merged([*sure, *doubtful[-_MOST_DOUBTFUL:]], _SAME) if face.score < self._score]
+            faces += [self._looked_at_upright(bgr, face) for face in others]
         return merged((face for face in faces if face.score >= self._score), _SAME)
 
     @property
-    def _sides(self) -> range:
+    def _quarters(self) -> range:
         """The quarters by which the picture is turned to be looked at."""
         return range(4 if self.search.any_rotation else 1)
 
     def _leaning(self, face: Detection) -> float:
         """How far a face is turned from where faces are surely found, in degrees."""
-        return min(abs((face.rotation - 90 * quarters + 180) % 360 - 180) for quarters in self._sides)
+        return min(abs((face.rotation - 90 * quarters + 180) % 360 - 180) for quarters in self._quarters)
 
     def _seen_from(self, bgr: np.ndarray, quarters: int) -> Iterator[Detection]:
         """What the network finds in a picture that is turned counter-clockwise by so many quarters."""
@@ -141,9 +149,8 @@ class YuNet:
             return face
         best, off = self._turned(bgr, face, face.rotation)
         if best.score < _SURE:
-            quarter = 90.0 * round(face.rotation / 90)
-            for side in _SIDES:
-                other, other_off = self._turned(bgr, face, quarter + side)
+            for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
+                other, other_off = self._turned(bgr, face, side)
                 if other.score > best.score + _BETTER:
                     best, off = other, other_off
         for _ in range(_LOOKS):
