@@ -39,11 +39,11 @@ _DOUBTFUL, _CONFIRMED = (
     0.88,
 )  # scores of finds that may be turned faces, and of turned faces that are seen upright
 _MOST_DOUBTFUL = 30  # finds of a picture that are looked at again
-_FRAME = Frame(crop=320, face=160.0)
+_FRAME = Frame(crop=256, face=128.0)
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
 _BETTER = 0.02  # by which another rotation's score has to be better
-_LOOKS, _ENOUGH = 2, 5.0  # how often a rotation is mended, and degrees from which that pays
+_LOOKS, _ENOUGH = 2, 10.0  # how often a rotation is mended, and degrees from which that pays
 # Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
 _BELIEVED, _TURNED = (80.0, 130.0), (3.0, 1.3)
 
