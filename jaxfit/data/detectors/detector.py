@@ -41,7 +41,8 @@ class Search:
             of the root of their area. Time grows with the square of what is smaller.
         score: from which a find is a face, in [0, 1], for detectors that score their finds; None is what suits the
             detector.
-        any_rotation: also look at the picture turned by 90, 180 and 270 degrees; takes four times as long.
+        any_rotation: also look at the picture turned by 90, 180 and 270 degrees, which takes four times as long. YuNet
+            finds most turned faces without; upside down, it takes them for upright ones.
 
     Raises:
         InputError: a number out of range.

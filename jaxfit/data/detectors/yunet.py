@@ -33,12 +33,10 @@ _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower one
 # Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
 _UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
-_LEANING = 25.0  # degrees up to which hardly a face escapes
-_DOUBTFUL, _CONFIRMED = (
-    0.05,
-    0.88,
-)  # scores of finds that may be turned faces, and of turned faces that are seen upright
-_MOST_DOUBTFUL = 30  # finds of a picture that are looked at again
+_LEANING = 25.0  # degrees up to which hardly a face is missed at the usual score
+_DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
+_MOST_DOUBTFUL = 30  # of them in a picture that are looked at again
+_CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
 _FRAME = Frame(crop=256, face=128.0)
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
@@ -161,7 +159,7 @@ class YuNet:
                 break
             best = other
         if best.score >= _CONFIRMED:
-            return best
+            return replace(best, score=max(face.score, best.score))
         return face if abs(face.rotation) < 45 else replace(face, score=0.0)
 
     def _turned(self, bgr: np.ndarray, face: Detection, degrees: float) -> tuple[Detection, float]:
