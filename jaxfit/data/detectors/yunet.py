@@ -41,7 +41,7 @@ _FRAME = Frame(crop=256, face=128.0)
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
 _BETTER = 0.02  # by which another rotation's score has to be better
-_LOOKS, _ENOUGH = 2, 10.0  # how often a rotation is mended, and degrees from which that pays
+_LOOKS, _ENOUGH = 2, 10.0  # how often a box is mended, and degrees from which that pays
 # Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
 _BELIEVED, _TURNED = (80.0, 130.0), (3.0, 1.3)
 
@@ -145,35 +145,32 @@ class YuNet:
         the find stays as it is, with the score 0 if it lies or stands on its head."""
         if face.score >= _SURE and abs(face.rotation) < _UPRIGHT:
             return face
-        best, off = self._turned(bgr, face, face.rotation)
+        best, settled = self._turned(bgr, face, face.rotation)
         if best.score < _SURE:
             for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
-                other, other_off = self._turned(bgr, face, side)
+                other, other_settled = self._turned(bgr, face, side)
                 if other.score > best.score + _BETTER:
-                    best, off = other, other_off
+                    best, settled = other, other_settled
         for _ in range(_LOOKS):
-            if abs(off) < _ENOUGH:
-                break
-            other, off = self._turned(bgr, best, best.rotation)
-            if other.score < best.score - _BETTER:
-                break
-            best = other
+            if not settled:
+                best, settled = self._turned(bgr, best, best.rotation)
         if best.score >= _CONFIRMED:
             return replace(best, score=max(face.score, best.score))
         return face if abs(face.rotation) < 45 else replace(face, score=0.0)
 
-    def _turned(self, bgr: np.ndarray, face: Detection, degrees: float) -> tuple[Detection, float]:
-        """A find as it is seen where the picture is turned back by so much, and how far, in degrees, it is still turned
-        there; its score is 0 if it is not seen."""
+    def _turned(self, bgr: np.ndarray, face: Detection, degrees: float) -> tuple[Detection, bool]:
+        """A find as it is seen where the picture is turned back by so much, with the score 0 if it is not seen; and
+        whether it is upright there, in the middle and of the expected size, so that its box is to be trusted."""
         crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), _FRAME, math.radians(degrees))
         seen = [each for each in self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2))) if _in_the_middle(each.box)]
         if not seen:
-            return replace(face, rotation=degrees, score=0.0), 0.0
+            return replace(face, rotation=degrees, score=0.0), True
         best = max(seen, key=lambda each: each.score)
         middle, sides = to_image(box_centre(best.box), *crop[1:]), best.box[2:] * crop.scale
         box = np.concatenate([middle - sides / 2, sides])
         rotation = (degrees + best.rotation + 180) % 360 - 180
-        return replace(best, box=box, rotation=rotation), best.rotation
+        settled = abs(best.rotation) < _ENOUGH and _in_the_middle(best.box, 0.2, 1.3)
+        return replace(best, box=box, rotation=rotation), settled
 
     def _faces(self, part: _Part) -> Iterator[Detection]:
         for values in self._found(part.bgr).astype(np.float64):
@@ -197,10 +194,11 @@ class YuNet:
         return np.empty((0, 15), np.float32) if faces is None else faces
 
 
-def _in_the_middle(box: np.ndarray) -> bool:
-    """Whether a box (4,) of a patch is that of the face in its middle."""
-    away = np.abs(box_centre(box) - _FRAME.middle).max()
-    return bool(away < 0.4 * _FRAME.face and 0.5 < box[2:].mean() / _FRAME.face < 1.8)
+def _in_the_middle(box: np.ndarray, apart: float = 0.4, times: float = 2.0) -> bool:
+    """Whether a box (4,) of a patch is that of the face in its middle: apart by so much of its size, and so many times
+    as large or small, at most."""
+    away, ratio = np.abs(box_centre(box) - _FRAME.middle).max(), box[2:].mean() / _FRAME.face
+    return bool(away < apart * _FRAME.face and 1 / times < ratio < times)
 
 
 def _rotation(points: np.ndarray, size: float) -> float:
