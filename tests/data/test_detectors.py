@@ -174,6 +174,13 @@ def test_faces_say_how_they_are_turned(portraits, degrees, width, search):
     assert others <= 1
 
 
+@pytest.mark.parametrize("brightness", [0.25, 0.08, 0.04])
+def test_faces_are_found_in_dark_pictures(portraits, brightness):
+    found = [detect_faces(np.round(brightness * grey).astype(np.uint8)) for grey, _ in portraits[:8]]
+    hits = [best_match(faces, square) is not None for faces, (_, square) in zip(found, portraits, strict=False)]
+    assert sum(hits) >= 7
+
+
 def test_profiles_are_found_on_both_sides(real_dataset):
     faces = [face for face in real_dataset("aflw:aflw").faces if 60 < abs(face.pose[2]) < 90][:60:2]
     found = {"left": 0, "right": 0}

@@ -29,6 +29,7 @@ _TILE, _SHARED = 1280, 256  # sides of the parts that a large level is looked at
 _SCORE = 0.7
 _SAME = 0.3  # overlap from which two finds are one face
 _MOST = 5000  # finds in a part
+_DARK = 64  # value that all but 1 in 100 pixels of a dark picture stay below
 _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower ones the network finds what is not there
 # Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
@@ -66,7 +67,8 @@ class YuNet:
 
     Pictures are looked at at the resolution that the smallest faces need, large ones in overlapping parts, and again at
     coarser resolutions for large faces. Finds that are turned or doubtful are looked at again, turned upright; those
-    below the score only in pictures without a face that is surely upright.
+    below the score only in pictures without a face that is surely upright. Dark pictures in which nothing is found are
+    looked at again, made brighter.
 
     Attributes:
         search: the smallest face, and the score from which a find is a face.
@@ -109,6 +111,12 @@ class YuNet:
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
+        if faces := self._faces_in(bgr):
+            return faces
+        white = float(np.quantile(bgr[::4, ::4], 0.99))
+        return self._faces_in(cv2.convertScaleAbs(bgr, alpha=255 / max(1.0, white))) if white < _DARK else []
+
+    def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
         finds = [face for quarters in self._quarters for face in self._seen_from(bgr, quarters)]
         sure = merged((face for face in finds if face.score >= self._score), _SAME)
         faces = [self._looked_at_upright(bgr, face) for face in sure]
