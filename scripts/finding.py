@@ -1,4 +1,4 @@
-"""Faces found in photographs: by size, in groups and panoramas, turned, and how long it takes.
+"""Faces found in photographs: by size, in groups and panoramas, turned, in dark ones, and how long it takes.
 
 --photos is a folder of photographs with dlib's labels (``*.xml``: boxes and 68 points of all faces in a picture) and
 with .pts files of one face; --data are pictures cut around one face each, which are pasted into groups and turned.
@@ -32,6 +32,7 @@ PASTED = (24, 32, 48, 64, 96, 160, 250, 400)
 CANVASES = (2000, 4000, 8000)
 ANGLES = (0, 10, 20, 30, 45, 60, 90, 180)
 LENGTHS = (500, 1000, 2000, 4000)
+BRIGHTNESSES = (1.0, 0.25, 0.08, 0.04)
 Find = Callable[[np.ndarray], Sequence[np.ndarray]]
 
 
@@ -287,6 +288,42 @@ def turn(shape: Sequence[int], degrees: float) -> tuple[np.ndarray, tuple[int, i
     return there, size
 
 
+def dark(report: Report, model: jaxfit.Model, photos: Path, faces: Sequence[FaceRecord]) -> None:
+    """Share of faces found in dark pictures, as they are and brightened."""
+    detector, rows = detector_named("yunet"), []
+    for brightness in BRIGHTNESSES:
+        row: dict[str, object] = {"brightness": brightness}
+        for name, brighten in (("as it is", None), ("equalised", equalised), ("stretched", stretched)):
+            hits, others = 0, 0
+            for face in faces:
+                picture = np.round(brightness * read_image(face.image, exif=False)).astype(np.uint8)
+                boxes = [each.box for each in detector(picture)]
+                if not boxes and brighten is not None:
+                    boxes = [each.box for each in detector(brighten(picture))]
+                found = [same(bounding_square(face.landmarks), box) for box in boxes]
+                hits, others = hits + any(found), others + found.count(False)
+            row |= {name: f"{hits / len(faces):.1%}", f"{name}, others": others}
+        rows.append(row)
+    report.table(
+        rows,
+        {"brightness": ".0%"} | dict.fromkeys([name for name in rows[0] if name != "brightness"], ""),
+        above=f"{len(faces)} pictures of one face, darkened: share of faces found by YuNet, and other finds; where "
+        "nothing is found in the picture as it is, also in the equalised one (its histogram), or in the stretched one "
+        "(so that 1 in 100 pixels is white).",
+    )
+
+
+def equalised(picture: np.ndarray) -> np.ndarray:
+    """A picture, uint8 (H, W, 3), whose lightness has an even histogram."""
+    lightness, *colours = cv2.split(cv2.cvtColor(picture, cv2.COLOR_RGB2YCrCb))
+    return cv2.cvtColor(cv2.merge([cv2.equalizeHist(lightness), *colours]), cv2.COLOR_YCrCb2RGB)
+
+
+def stretched(picture: np.ndarray) -> np.ndarray:
+    """A picture, uint8 (H, W, 3), made so bright that 1 in 100 values is white."""
+    return np.clip(picture * (255 / max(1.0, float(np.quantile(picture, 0.99)))), 0, 255).astype(np.uint8)
+
+
 def times(report: Report, model: jaxfit.Model, photos: Path, faces: Sequence[FaceRecord]) -> None:
     """Milliseconds a photograph, for finding and for all else."""
     detector, rows = detector_named("yunet"), []
@@ -339,7 +376,7 @@ def median(work: Callable[[], object]) -> float:
     return float(np.median(seconds))
 
 
-PARTS = {"photographs": photographs, "groups": groups, "turned": turned, "times": times}
+PARTS = {"photographs": photographs, "groups": groups, "turned": turned, "dark": dark, "times": times}
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from jaxfit.cli.arguments import (
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
-from jaxfit.data.detectors import detector_named
+from jaxfit.data.detectors import Search, detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
@@ -106,6 +106,10 @@ def run(options: argparse.Namespace) -> int:
     if boxes is not None and options.detector is not None:
         raise InputError("expected --boxes or a --detector that finds them; got both")
     starts, search = given_starts(options), given_search(options)
+    if options.detector is None and search != Search():
+        raise InputError(
+            "expected a --detector with --smallest, --score or --any-rotation; got none: name it, or leave these out"
+        )
     if options.refine:
         require_refinable(model)
     folder = out_folder(options.out)

@@ -97,13 +97,13 @@ def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, ro
 
 
 def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame, rotation: float = 0.0) -> Crop:
-    """The crop of a grey picture, uint8 (H, W), that shows a face upright and at the frame's size in its middle.
+    """The crop of a picture, grey for fits, that shows a face upright and at the frame's size in its middle.
 
     Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift``,
     along the crop's axes, from the pixels that they mark.
 
     Args:
-        grey: (H, W) uint8.
+        grey: (H, W) uint8; or (H, W, 3), which makes a crop in colour.
         centre: (2,) x, y of the image point that comes to the crop's centre, ``frame.middle``.
         face_side: how many image pixels become ``frame.face`` crop pixels.
         frame: the sizes.
@@ -222,4 +222,4 @@ def _shrunk(part: np.ndarray, columns: _Side, rows: _Side) -> np.ndarray:
     if any(around):
         part = cv2.copyMakeBorder(part, *around, cv2.BORDER_REPLICATE)
     size = (columns.size, rows.size)
-    return part if part.shape == size[::-1] else cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+    return part if part.shape[:2] == size[::-1] else cv2.resize(part, size, interpolation=cv2.INTER_AREA)

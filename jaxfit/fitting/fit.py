@@ -63,8 +63,8 @@ def fit(
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), ``kind`` or ``detector`` is unknown or not asked for, or there are no
-            passes.
+        InputError: ``boxes`` is not (N, 4), ``kind``, ``detector`` or ``search`` is unknown or not asked for, or there
+            are no passes.
     """
     require_several(images)
     if boxes is None:
@@ -79,6 +79,7 @@ def fit(
         return fits
     if detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
+    require_no_search(search)
     pipeline = Pipeline(model, starts=starts, passes=1 if passes is None else passes, read=read)
     sources = sources_of(model, images, boxes, kind, rotations)
     return fits_of_sources(pipeline, sources, progress)
@@ -91,6 +92,18 @@ def _finder(detector: str | Detector | None, search: Search) -> Detector:
     if search != Search():
         raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
     return detector
+
+
+def require_no_search(search: Search) -> None:
+    """Complain about a search where boxes are given.
+
+    Raises:
+        InputError: the search is not the default one.
+    """
+    if search != Search():
+        raise InputError(
+            "expected boxes, or how faces are looked for (smallest, score, any rotation); got both: leave out one"
+        )
 
 
 def sources_of(

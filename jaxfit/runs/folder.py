@@ -26,7 +26,7 @@ from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
-from jaxfit.fitting.fit import passes_from
+from jaxfit.fitting.fit import passes_from, require_no_search
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
 from jaxfit.models.files import DEFAULT_MODEL, load
@@ -194,6 +194,10 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
         require_pyarrow()
     if unknown := [name for name in run.formats if name not in WRITERS]:
         raise InputError(f"expected formats among {', '.join(WRITERS)}; got {unknown[0]!r}")
+    if run.min_confidence is not None and not 0 <= run.min_confidence <= 1:
+        raise InputError(
+            f"expected a least confidence from 0 to 1; got {run.min_confidence}: 0.5 leaves out what is rather bad"
+        )
     if run.min_confidence is not None and model.confidence is None:
         raise InputError("expected a model with a confidence, for a least confidence; this one has none")
     if run.boxes is None:
@@ -203,6 +207,7 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
         return Pipeline(model, detector, run.starts, passes_from(detector)), None
     if run.detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
+    require_no_search(run.search)
     model.placement(run.box_kind)
     return Pipeline(model, starts=run.starts), read_boxes(run.boxes)
 

@@ -83,6 +83,8 @@ def test_wrong_arguments_are_refused_before_anything_is_read(model: Model) -> No
         jaxfit.fit(model, ["none.jpg"], detector="hair")
     with pytest.raises(jaxfit.InputError, match="got both"):
         jaxfit.fit(model, ["none.jpg"], [[0, 0, 9, 9]], detector="haar")
+    with pytest.raises(jaxfit.InputError, match=r"how faces are looked for .*; got both"):
+        jaxfit.fit(model, ["none.jpg"], [[0, 0, 9, 9]], search=jaxfit.Search(any_rotation=True))
     with pytest.raises(jaxfit.InputError, match="the detector says"):
         jaxfit.fit(model, ["none.jpg"], kind="haar-frontal")
     with pytest.raises(jaxfit.InputError, match="put it in a list"):

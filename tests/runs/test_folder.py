@@ -19,6 +19,7 @@ import jaxfit
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import bounding_square
+from jaxfit.data.detectors import Search
 from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.pictures import find_images, read_image, write_image
 from jaxfit.data.pts import read_pts
@@ -216,7 +217,10 @@ def test_wrong_settings_stop_before_anything_is_written(run: FolderRun, pictures
     wrong: dict[str, dict[str, Any]] = {
         "only models of the method alignment3d": {"refine": True},
         "give that file too": {"boxes": None, "box_kind": "whole"},
-        "got both": {"detector": "whole"},
+        "detector that finds them; got both": {"detector": "whole"},
+        "how faces are looked for .*; got both": {"search": Search(smallest=30.0)},
+        "a least confidence from 0 to 1; got 7": {"min_confidence": 7.0},
+        "a least confidence from 0 to 1; got nan": {"min_confidence": float("nan")},
         "boxes of the kinds square": {"box_kind": "nobody"},
         "expected formats among csv, pts, .*; got 'xml'": {"formats": ("csv", "xml")},
         "detector": {"boxes": None, "detector": "nose"},

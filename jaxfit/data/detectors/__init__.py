@@ -52,7 +52,8 @@ def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> D
     else:
         known = [*DETECTORS, *(f"{of_file}:FILE" for of_file in OF_FILES)]
         raise InputError(f"expected a detector among {', '.join(known)}; got {spec!r}")
-    return AnyRotation(detector) if search.any_rotation else detector
+    # YuNet does it by itself, in less time.
+    return AnyRotation(detector) if search.any_rotation and not isinstance(detector, YuNet) else detector
 
 
 def detect_faces(

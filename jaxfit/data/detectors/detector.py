@@ -41,7 +41,8 @@ class Search:
             of the root of their area. Time grows with the square of what is smaller.
         score: from which a find is a face, in [0, 1], for detectors that score their finds; None is what suits the
             detector.
-        any_rotation: also look at the picture turned by 90, 180 and 270 degrees; takes four times as long.
+        any_rotation: also look at the picture turned by 90, 180 and 270 degrees, which takes four times as long. YuNet
+            finds most turned faces without; upside down, it takes them for upright ones.
 
     Raises:
         InputError: a number out of range.
@@ -116,11 +117,11 @@ class AnyRotation:
         found = []
         for quarters in range(4):
             turned = np.ascontiguousarray(np.rot90(image, quarters))  # counter-clockwise
-            found += [_turned_back(face, quarters, image.shape) for face in self.detector(turned)]
+            found += [turned_back(face, quarters, image.shape) for face in self.detector(turned)]
         return merged(found)
 
 
-def _turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
+def turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
     """A face of a picture that was turned counter-clockwise by so many quarters, in the picture (H, W, …) itself."""
     (x, y, width, height), (rows, columns) = face.box.tolist(), shape[:2]
     if quarters == 1:

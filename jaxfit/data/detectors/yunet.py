@@ -12,8 +12,10 @@ import cv2
 import numpy as np
 
 from jaxfit.data.boxes import box_centre
-from jaxfit.data.detectors.detector import Detection, Search, largest_first, merged
+from jaxfit.data.crops import cut_face, to_image
+from jaxfit.data.detectors.detector import Detection, Search, merged, turned_back
 from jaxfit.errors import InputError
+from jaxfit.image.frame import Frame
 
 KIND = "yunet"
 
@@ -27,11 +29,22 @@ _TILE, _SHARED = 1280, 256  # sides of the parts that a large level is looked at
 _SCORE = 0.7
 _SAME = 0.3  # overlap from which two finds are one face
 _MOST = 5000  # finds in a part
+_DARK = 64  # value that all but 1 in 100 pixels of a dark picture stay below
 _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower ones the network finds what is not there
-# Degrees from which a turned face is looked at again, turned upright, in a patch of so many pixels, at such a size.
-# so often, until it is as good as upright.
-_TURNED, _UPRIGHT, _LOOKS, _PATCH, _PATCH_FACE = 12.0, 4.0, 3, 192, 80.0
-_MORE = 1.3  # times that faces are more turned than the network believes
+# Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
+# patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
+_UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
+_LEANING = 25.0  # degrees up to which hardly a face is missed at the usual score
+_DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
+_MOST_DOUBTFUL = 30  # of them in a picture that are looked at again
+_CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
+_FRAME = Frame(crop=256, face=128.0)
+_SIDES = (45.0, -45.0, 90.0, -90.0)
+_ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
+_BETTER = 0.02  # by which another rotation's score has to be better
+_LOOKS, _ENOUGH = 2, 10.0  # how often a box is mended, and degrees from which that pays
+# Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
+_BELIEVED, _TURNED = (80.0, 130.0), (3.0, 1.3)
 
 
 class _Part(NamedTuple):
@@ -53,7 +66,9 @@ class YuNet:
     """Finds faces of any pose, also small ones and many in a picture, and how they are turned in it.
 
     Pictures are looked at at the resolution that the smallest faces need, large ones in overlapping parts, and again at
-    coarser resolutions for large faces.
+    coarser resolutions for large faces. Finds that are turned or doubtful are looked at again, turned upright; those
+    below the score only in pictures without a face that is surely upright. Dark pictures in which nothing is found are
+    looked at again, made brighter.
 
     Attributes:
         search: the smallest face, and the score from which a find is a face.
@@ -96,41 +111,81 @@ class YuNet:
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
-        parts = _parts(bgr, self.search.smallest_in(bgr.shape))
-        found = merged((face for part in parts for face in self._faces(part)), _SAME)
-        return largest_first([self._looked_at_upright(bgr, face) for face in found])
+        if faces := self._faces_in(bgr):
+            return faces
+        white = float(np.quantile(bgr[::4, ::4], 0.99))
+        return self._faces_in(cv2.convertScaleAbs(bgr, alpha=255 / max(1.0, white))) if white < _DARK else []
+
+    def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
+        finds = [face for quarters in self._quarters for face in self._seen_from(bgr, quarters)]
+        sure = merged((face for face in finds if face.score >= self._score), _SAME)
+        faces = [self._looked_at_upright(bgr, face) for face in sure]
+        if not any(face.score >= _SURE and self._leaning(face) < _LEANING for face in faces):
+            # The picture may be turned, and its faces be among the doubtful finds.
+            doubtful = sorted((face for face in finds if face.score < self._score), key=lambda face: face.score)
+            others = [face for face in merged([*sure, *doubtful[-_MOST_DOUBTFUL:]], _SAME) if face.score < self._score]
+            faces += [self._looked_at_upright(bgr, face) for face in others]
+        return merged((face for face in faces if face.score >= self._score), _SAME)
+
+    @property
+    def _quarters(self) -> range:
+        """The quarters by which the picture is turned to be looked at."""
+        return range(4 if self.search.any_rotation else 1)
+
+    def _leaning(self, face: Detection) -> float:
+        """How far a face is turned from where faces are surely found, in degrees."""
+        return min(abs((face.rotation - 90 * quarters + 180) % 360 - 180) for quarters in self._quarters)
+
+    def _seen_from(self, bgr: np.ndarray, quarters: int) -> Iterator[Detection]:
+        """What the network finds in a picture that is turned counter-clockwise by so many quarters."""
+        turned = np.ascontiguousarray(np.rot90(bgr, quarters))
+        for part in _parts(turned, self.search.smallest_in(bgr.shape)):
+            for face in self._faces(part):
+                yield turned_back(face, quarters, bgr.shape)
+
+    @property
+    def _score(self) -> float:
+        return _SCORE if self.search.score is None else self.search.score
 
     def _looked_at_upright(self, bgr: np.ndarray, face: Detection) -> Detection:
-        """A face whose rotation and box are those of a second look, at the picture turned upright: the network
-        believes turned faces to be less turned than they are, and draws other boxes around them."""
-        if abs(face.rotation) < _TURNED:
+        """A find as it is seen where the picture is turned so that it is upright: the network is less sure of turned
+        faces, believes them to be less turned than they are, and draws other boxes around them. Where no face is seen,
+        the find stays as it is, with the score 0 if it lies or stands on its head."""
+        if face.score >= _SURE and abs(face.rotation) < _UPRIGHT:
             return face
-        face = replace(face, rotation=_MORE * face.rotation)
+        best, settled = self._turned(bgr, face, face.rotation)
+        if best.score < _SURE:
+            for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
+                other, other_settled = self._turned(bgr, face, side)
+                if other.score > best.score + _BETTER:
+                    best, settled = other, other_settled
         for _ in range(_LOOKS):
-            centre, side = box_centre(face.box), float(face.box[2:].mean())
-            scale, radians = _PATCH_FACE / side, math.radians(face.rotation)
-            turn = scale * np.array([[math.cos(radians), math.sin(radians)], [-math.sin(radians), math.cos(radians)]])
-            there = np.column_stack([turn, _PATCH / 2 - turn @ centre])
-            flags = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-            patch = cv2.warpAffine(bgr, there, (_PATCH, _PATCH), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-            seen = [each for each in self._faces(_Part(patch, np.zeros(2), np.ones(2))) if _in_the_middle(each.box)]
-            if not seen:
-                break
-            best = max(seen, key=lambda each: each.score)
-            middle = np.linalg.solve(turn, box_centre(best.box) - there[:, 2])
-            sides = best.box[2:] / scale
-            rotation = (face.rotation + _MORE * best.rotation + 180) % 360 - 180
-            turned_by = abs(best.rotation)
-            face = replace(face, box=np.concatenate([middle - sides / 2, sides]), rotation=rotation)
-            if turned_by < _UPRIGHT:
-                break
-        return face
+            if not settled:
+                best, settled = self._turned(bgr, best, best.rotation)
+        if best.score >= _CONFIRMED:
+            return replace(best, score=max(face.score, best.score))
+        return face if abs(face.rotation) < 45 else replace(face, score=0.0)
+
+    def _turned(self, bgr: np.ndarray, face: Detection, degrees: float) -> tuple[Detection, bool]:
+        """A find as it is seen where the picture is turned back by so much, with the score 0 if it is not seen; and
+        whether it is upright there, in the middle and of the expected size, so that its box is to be trusted."""
+        crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), _FRAME, math.radians(degrees))
+        seen = [each for each in self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2))) if _in_the_middle(each.box)]
+        if not seen:
+            return replace(face, rotation=degrees, score=0.0), True
+        best = max(seen, key=lambda each: each.score)
+        middle, sides = to_image(box_centre(best.box), *crop[1:]), best.box[2:] * crop.scale
+        box = np.concatenate([middle - sides / 2, sides])
+        rotation = (degrees + best.rotation + 180) % 360 - 180
+        settled = abs(best.rotation) < _ENOUGH and _in_the_middle(best.box, 0.2, 1.3)
+        return replace(best, box=box, rotation=rotation), settled
 
     def _faces(self, part: _Part) -> Iterator[Detection]:
         for values in self._found(part.bgr).astype(np.float64):
             if np.isfinite(values).all() and min(values[2:4]) > 0:
                 box = np.concatenate([values[:2] / part.scale + part.corner, values[2:4] / part.scale])
-                yield Detection(box, KIND, _rotation(values[4:14].reshape(5, 2)), float(values[14]))
+                rotation = _rotation(values[4:14].reshape(5, 2), math.sqrt(values[2] * values[3]))
+                yield Detection(box, KIND, rotation, float(values[14]))
 
     def _found(self, bgr: np.ndarray) -> np.ndarray:
         """A row a face: x, y, width, height, the two eyes, the nose, the corners of the mouth, and the score."""
@@ -138,7 +193,7 @@ class YuNet:
         if min(size) < _NARROWEST:
             return np.empty((0, 15), np.float32)
         if not hasattr(self._of_thread, "network"):
-            score = _SCORE if self.search.score is None else self.search.score
+            score = min(self._score, _DOUBTFUL)
             with resources.as_file(resources.files(__package__) / "bundled" / _FILE) as bundled:
                 path = str(bundled if self.path is None else self.path)
                 self._of_thread.network = cv2.FaceDetectorYN.create(path, "", size, score, _SAME, _MOST)
@@ -147,20 +202,22 @@ class YuNet:
         return np.empty((0, 15), np.float32) if faces is None else faces
 
 
-def _in_the_middle(box: np.ndarray) -> bool:
-    """Whether a box (4,) of a patch is that of the face in its middle."""
-    away = np.abs(box_centre(box) - _PATCH / 2).max()
-    return bool(away < 0.5 * _PATCH_FACE and 0.5 < box[2:].mean() / _PATCH_FACE < 2)
+def _in_the_middle(box: np.ndarray, apart: float = 0.4, times: float = 2.0) -> bool:
+    """Whether a box (4,) of a patch is that of the face in its middle: apart by so much of its size, and so many times
+    as large or small, at most."""
+    away, ratio = np.abs(box_centre(box) - _FRAME.middle).max(), box[2:].mean() / _FRAME.face
+    return bool(away < apart * _FRAME.face and 1 / times < ratio < times)
 
 
-def _rotation(points: np.ndarray) -> float:
-    """How far a face is turned in the picture, in degrees, clockwise as seen, by its five points: the eyes, nose,
-    and corners of the mouth, the left ones in the picture first. On profiles, whose eyes coincide, eyes and
-    mouth tell."""
+def _rotation(points: np.ndarray, size: float) -> float:
+    """How far a face is turned in the picture, in degrees, clockwise as seen, by its size in the network's pixels and
+    its five points: the eyes, nose, and corners of the mouth, the left ones in the picture first. On profiles, whose
+    eyes coincide, eyes and mouth tell."""
     across = points[1] - points[0]
     down = points[3:].mean(0) - points[:2].mean(0)
     x, y = across + [down[1], -down[0]]
-    return math.degrees(math.atan2(y, x))
+    rotation = math.degrees(math.atan2(y, x)) * float(np.interp(size, _BELIEVED, _TURNED))
+    return (rotation + 180) % 360 - 180
 
 
 def _parts(bgr: np.ndarray, smallest: float) -> Iterator[_Part]:
