@@ -1,7 +1,7 @@
 """Pictures from and to files: whole, upright, 8-bit, or a clear reason why not."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from glob import glob
 from pathlib import Path
@@ -9,6 +9,7 @@ from threading import Lock
 from typing import Any
 
 import cv2
+import jax
 import numpy as np
 
 from jaxfit.data.headers import END_OF_IMAGE, JPEG, PNG, jpeg_markers
@@ -22,10 +23,15 @@ _VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".we
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
 
-Image = np.ndarray | str | Path | bytes  # pixels, a file, or the bytes in one
-Images = Sequence[Image] | np.ndarray
-Read = Callable[[Any], np.ndarray]  # of a Path or bytes; bytes only where pictures come as such
+# What callers hand over may be anything: `to_eight_bits` and `several` say what is wrong with it.
+Pixels = Any  # an array of NumPy or JAX, or a PIL image
+Image = Any  # such pixels, a file, or the bytes in one
+Images = Any  # a list of such, an array, a generator: what has an order
+Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures come as such
 NAMELESS = "the picture"  # what errors call one that came without a file
+_PIL = Lock()  # its images read their files when they are first used, in one thread at a time
+_ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
+_LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
@@ -142,16 +148,17 @@ class GreyPictures:
         return self._kept[path]
 
 
-def write_image(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a picture, uint8 (H, W, 3) RGB or (H, W) grey, in the format that the name's suffix says, atomically.
+def write_image(path: str | Path, rgb: Pixels) -> None:
+    """Write a picture as in `to_eight_bits`, with 8 bits, in the format that the name's suffix says, atomically.
 
     Raises:
         InputError: no format has this suffix, or the folder is missing.
-        ImageError: the picture is too large for the format.
+        ImageError: it is no such picture, or too large for the format.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise InputError(f"cannot write {path}: expected a name ending in one of {' '.join(PICTURE_SUFFIXES)}")
+    rgb = to_eight_bits(rgb)
     stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
     with quiet():
         done, encoded = cv2.imencode(suffix, stored)
@@ -162,7 +169,7 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
         file.write(encoded.tobytes())
 
 
-def to_grey(image: np.ndarray) -> np.ndarray:
+def to_grey(image: Pixels) -> np.ndarray:
     """Luminance, uint8 (H, W), of a picture as in `to_eight_bits`.
 
     Raises:
@@ -172,26 +179,99 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def to_eight_bits(image: np.ndarray) -> np.ndarray:
-    """A uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA as uint8, (H, W) or (H, W, 3).
+def to_eight_bits(image: Pixels) -> np.ndarray:
+    """A picture as a contiguous uint8 array, (H, W) or (H, W, 3) RGB.
 
-    Transparency is dropped, of 16 bits the upper 8 are kept.
+    It may be a uint8 or uint16 array of NumPy or JAX, (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA; or a PIL
+    image of any mode that PIL makes RGB or grey of. Transparency is dropped, of 16 bits the upper 8 are kept.
 
     Raises:
-        ImageError: another type of number, another number of axes or channels, or no pixels.
+        ImageError: another kind of object; another type of number, another number of axes or channels, or no pixels; a
+            picture of 16 bits that uses only the lower ones; or a PIL image that is damaged, or is still to be turned
+            as its EXIF data say.
     """
-    image = np.asarray(image)  # None, as from a failed cv2.imread, is refused below like any other object
+    image = _array(image)
     channels = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
-    if image.dtype not in (np.uint8, np.uint16) or channels not in (1, 3, 4) or not image.size:
+    deep = image.dtype.kind == "u" and image.dtype.itemsize == 2  # in either order of bytes
+    if not (image.dtype == np.uint8 or deep) or channels not in (1, 3, 4) or not image.size:
         raise ImageError(
             "expected a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA with at least one "
-            f"pixel; got {image.dtype} {image.shape}"
+            f"pixel; got {image.dtype} {image.shape}{_advice(image)}"
         )
-    if image.dtype == np.uint16:
+    if deep:
+        if 0 < (largest := int(image.max())) < _LEAST_OF_SIXTEEN:
+            raise ImageError(
+                f"expected a uint16 picture with values up to 65535, of which the upper 8 bits are kept; its largest "
+                f"value is {largest}: scale it, or give image.astype(numpy.uint8) if its values go up to 255"
+            )
         image = (image >> 8).astype(np.uint8)
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
     return np.ascontiguousarray(image[..., :3])
+
+
+def _array(image: Pixels) -> np.ndarray:
+    if isinstance(image, np.ndarray | jax.Array):
+        return np.asarray(image)
+    if _is_of_pil(image):
+        return _array_of_pil(image)
+    advice = "make it a uint8 array (H, W, 3) first, as tensor.cpu().numpy() and numpy.asarray do"
+    if isinstance(image, str | bytes | os.PathLike):
+        advice = "read files with jaxfit.read_image"
+    raise ImageError(f"expected an array of NumPy or JAX, or a PIL image; got {kind_of(image)}; {advice}")
+
+
+def kind_of(thing: object) -> str:
+    """What an object is, with the package that it comes from: ``torch.Tensor``."""
+    package = type(thing).__module__.partition(".")[0]
+    return type(thing).__qualname__ if package == "builtins" else f"{package}.{type(thing).__qualname__}"
+
+
+def _is_of_pil(thing: object) -> bool:
+    """Whether an object is one of PIL's, which need not be installed."""
+    return any(of.__module__.partition(".")[0] == "PIL" for of in type(thing).__mro__)
+
+
+def _array_of_pil(image: Any) -> np.ndarray:
+    """The pixels of a PIL image: what its numbers mean is up to its mode, as with palettes and CMYK."""
+    try:
+        with _PIL:
+            image.load()
+        orientation = image.getexif().get(_ORIENTATION, _UPRIGHT)
+        if image.mode.startswith("I;16"):  # which PIL would cut off at 255
+            return np.asarray(image)
+        if image.mode not in ("I", "F"):  # numbers of any range: refused as such arrays are
+            # Transparent palettes become RGBA only; RGBA becomes RGB.
+            image = image.convert("L" if image.mode in ("1", "L", "LA", "La") else "RGBA").convert("RGB")
+        array = np.asarray(image)
+    except (AttributeError, OSError, SyntaxError, TypeError, ValueError) as error:
+        raise ImageError(f"a PIL image that cannot be used ({error})") from error
+    if orientation in range(_UPRIGHT + 1, 9):
+        raise ImageError(
+            f"expected upright pixels; the PIL image's EXIF data say that they are still to be turned (orientation "
+            f"{orientation}): give PIL.ImageOps.exif_transpose(image), or numpy.asarray(image.convert('RGB')) for its "
+            "pixels as they are"
+        )
+    return array
+
+
+def _advice(image: np.ndarray) -> str:
+    """What to do about an array that is no picture, as far as it can be guessed; behind a semicolon."""
+    if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
+        return "; channels come last: numpy.moveaxis(image, 0, -1)"
+    if image.dtype.kind == "b":
+        return "; give 255 * image.astype(numpy.uint8)"
+    if image.dtype.kind in "iu":
+        return "; give image.astype(numpy.uint8) if its values go from 0 to 255"
+    if image.dtype.kind != "f" or not np.isfinite(image).all() or not image.size:
+        return ""
+    low, high = float(image.min()), float(image.max())
+    within = f" with values from {low:.3g} to {high:.3g}, whose black and white are not known; give "
+    if low >= 0 and high <= 1:
+        return f"{within}(255 * image).round().astype(numpy.uint8) if white is 1"
+    if low >= 0 and high <= 255:
+        return f"{within}image.round().astype(numpy.uint8) if white is 255"
+    return f"{within}uint8 values, from 0, black, to 255, white"
 
 
 def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Path]:
@@ -277,21 +357,43 @@ def _has_end(jpeg: bytes) -> bool:
     return jpeg.endswith(bytes([0xFF, END_OF_IMAGE])) or any(marker == END_OF_IMAGE for marker, _ in jpeg_markers(jpeg))
 
 
-def require_several(images: Images) -> None:
-    """Check that pictures are a sequence of them.
+def several(images: Images) -> list[Image]:
+    """Pictures as a list: what comes from a generator is kept, and paths of any type are files.
 
     Raises:
-        InputError: it is one picture.
+        InputError: it is one picture, or nothing that pictures come in one after another.
     """
-    if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
-        raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
-    if isinstance(images, str | Path):
+    require_several(images)
+    return [
+        Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
+        for image in images
+    ]
+
+
+def require_several(images: Images) -> None:
+    """Check that pictures are several of them, in an order.
+
+    Raises:
+        InputError: as `several`.
+    """
+    if isinstance(images, np.ndarray | jax.Array):
+        if images.ndim == 2 or (images.ndim == 3 and images.shape[-1] in (3, 4)):
+            raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
+        return
+    if isinstance(images, str | os.PathLike):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
-    if isinstance(images, bytes):
+    if isinstance(images, bytes | bytearray):
         raise InputError(f"expected a sequence of images, got {len(images)} bytes; put them in a list")
+    if _is_of_pil(images):
+        raise InputError(f"expected a sequence of images, got {kind_of(images)}; put it, or its frames, in a list")
+    table = len(getattr(images, "shape", (0,))) != 1  # a tensor's parts, or a data frame's columns, are no pictures
+    if table or not isinstance(images, Iterable) or isinstance(images, Mapping | Set):
+        raise InputError(
+            f"expected a sequence of images: a list, a generator or an array of NumPy or JAX; got {kind_of(images)}"
+        )
 
 
-def pixels(image: Image, read: Read) -> np.ndarray:
+def pixels(image: Image, read: Read) -> Pixels:
     """The pixels of a picture, read if it is a file or the bytes of one."""
     if isinstance(image, bytes):
         return read(image)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from jaxfit.data.outputs import atomic_path
-from jaxfit.data.pictures import quiet
+from jaxfit.data.pictures import Pixels, quiet, to_eight_bits
 from jaxfit.errors import ImageError, InputError
 
 VIDEO_SUFFIX = ".mp4"
@@ -104,8 +104,8 @@ class Video:
 
 
 @contextmanager
-def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[np.ndarray], None]]:
-    """What takes frames, uint8 (H, W, 3) RGB or (H, W) grey, all as large as the first, and makes a video of them.
+def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[Pixels], None]]:
+    """What takes frames, as `jaxfit.data.pictures.to_eight_bits`, all as large as the first, and makes a video of them.
 
     The file appears under its name when the block ends, and not if the block raises or gives no frame. A last row or
     column of an odd number is left out, as the codec has it.
@@ -116,7 +116,8 @@ def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[np.nd
 
     Raises:
         InputError: another name, a rate that is not positive, a missing folder, or a frame of another size.
-        ImageError: OpenCV cannot write such frames, or could not write them all, as when the disk is full.
+        ImageError: no such picture; or OpenCV cannot write such frames, or could not write them all, as when the disk
+            is full.
     """
     if Path(path).suffix.lower() != VIDEO_SUFFIX:
         raise InputError(f"cannot write {path}: expected a name ending in {VIDEO_SUFFIX}")
@@ -127,8 +128,9 @@ def write_video(path: str | Path, frame_rate: float) -> Iterator[Callable[[np.nd
         shape: tuple[int, ...] = ()
         written = 0
 
-        def write(picture: np.ndarray) -> None:
+        def write(picture: Pixels) -> None:
             nonlocal writer, shape, written
+            picture = to_eight_bits(picture)
             if writer is None:
                 shape = picture.shape[:2]
                 with _quiet_codecs():

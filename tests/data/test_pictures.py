@@ -1,5 +1,6 @@
 """Pictures from files: every kind that cameras and editors write, and every way to be broken."""
 
+import io
 import re
 import struct
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jax import numpy as jnp
 
 from jaxfit.data.pictures import (
     GreyPictures,
@@ -17,6 +19,8 @@ from jaxfit.data.pictures import (
     read_grey,
     read_image,
     read_upright,
+    several,
+    to_eight_bits,
     to_grey,
     write_image,
 )
@@ -229,6 +233,89 @@ def test_grey_is_luminance_whatever_the_layout(height, width, seed):
 def test_other_arrays_are_no_pictures(image):
     with pytest.raises(ImageError, match=re.escape(f"got {image.dtype} {image.shape}")):
         to_grey(image)
+
+
+@pytest.mark.parametrize(
+    ("image", "advice"),
+    [
+        (np.linspace(0, 1, 48).reshape(4, 4, 3), "from 0 to 1, .*(255 * image).round().astype(numpy.uint8)"),
+        (np.linspace(0, 254, 48, dtype=np.float32).reshape(4, 4, 3), "give image.round().astype(numpy.uint8)"),
+        (np.linspace(-1, 1, 16).reshape(4, 4), "from -1 to 1, .*give uint8 values"),
+        (np.full((4, 4), np.nan), "got float64 (4, 4)"),
+        (np.zeros((4, 4), np.int64), "image.astype(numpy.uint8)"),
+        (np.zeros((4, 4), bool), "255 * image.astype(numpy.uint8)"),
+        (np.zeros((3, 40, 50), np.uint8), "numpy.moveaxis(image, 0, -1)"),
+        (np.full((4, 4), 255, np.uint16), "its largest value is 255"),
+        (np.full((4, 4), 4095, np.uint16), "its largest value is 4095"),
+        (None, "got NoneType"),
+        ([[1, 2], [3, 4]], "got list"),
+        ("a.jpg", "got str; read files with jaxfit.read_image"),
+        (Path("a.jpg"), "read files with jaxfit.read_image"),
+        (type("Tensor", (), {"__module__": "torch"})(), "got torch.Tensor; .*tensor.cpu().numpy()"),
+    ],
+)
+def test_the_refusal_of_what_is_no_picture_says_what_to_do(image, advice):
+    with pytest.raises(ImageError, match=re.escape(advice).replace(re.escape(".*"), ".*")):
+        to_eight_bits(image)
+
+
+@given(st.integers(1, 9), st.integers(1, 9))
+def test_arrays_of_any_layout_are_taken(height, width):
+    rgb = np.random.default_rng(height * 10 + width).integers(0, 256, (height, width, 3), np.uint8)
+    deep = rgb.astype(np.uint16) * 257
+    deep.flat[0], rgb.flat[0] = 65535, 255
+    for same in (np.asfortranarray(rgb), rgb[::-1][::-1], deep, deep.astype(">u2"), jnp.asarray(rgb)):
+        picture = to_eight_bits(same)
+        np.testing.assert_array_equal(picture, rgb)
+        assert picture.flags.c_contiguous
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "LA", "1", "P", "PA", "CMYK", "YCbCr", "HSV", "I;16"])
+def test_images_of_pil_are_seen_as_pil_shows_them(rgb, mode):
+    pil = pytest.importorskip("PIL.Image")
+    if mode == "I;16":
+        deep = rgb[..., 0].astype(np.uint16) * 257
+        np.testing.assert_array_equal(to_eight_bits(pil.fromarray(deep)), rgb[..., 0])
+        return
+    image = pil.fromarray(rgb)
+    image = image.convert("P").convert("PA") if mode == "PA" else image.convert(mode)
+    expected = np.asarray(image.convert("RGBA").convert("RGB") if "P" in mode else image.convert("RGB"))
+    seen = to_eight_bits(image)
+    np.testing.assert_array_equal(seen if seen.ndim == 3 else np.dstack([seen] * 3), expected)
+    if mode in ("RGB", "RGBA", "CMYK"):
+        np.testing.assert_array_equal(seen, rgb)
+
+
+def test_images_of_pil_that_would_be_seen_wrong_are_refused(tmp_path, rgb):
+    pil, ops = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageOps")
+    (tmp_path / "turned.jpg").write_bytes(oriented(encoded(rgb), 6))
+    turned, torn = (pil.open(io.BytesIO(data)) for data in (oriented(encoded(rgb), 6), encoded(rgb)[:-200]))
+    with pytest.raises(ImageError, match=r"orientation 6.*exif_transpose"):
+        to_eight_bits(turned)
+    away = to_eight_bits(ops.exif_transpose(turned)).astype(int) - read_image(tmp_path / "turned.jpg")
+    assert np.abs(away).max() <= 8  # two decoders
+    for image in (torn, pil.new("F", (4, 4)), pil.new("I", (4, 4)), pil.new("RGB", (0, 4))):
+        with pytest.raises(ImageError):
+            to_eight_bits(image)
+
+
+def test_pictures_come_in_anything_that_has_an_order(rgb):
+    tensor = type("Tensor", (), {"__module__": "torch", "shape": (2, 3, 4, 4), "__iter__": lambda self: iter([])})
+    for images in ([rgb, rgb], (rgb, rgb), iter([rgb, rgb]), (rgb for _ in range(2)), np.stack([rgb, rgb])):
+        assert [image.shape for image in several(images)] == [rgb.shape] * 2
+    assert several(map(str, [1])) == ["1"]
+    assert several([Path("a"), bytearray(b"b")]) == [Path("a"), b"b"]
+    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), rgb, jnp.asarray(rgb), "a.jpg", Path("a.jpg"), b"a"):
+        with pytest.raises(InputError, match="expected a sequence of images"):
+            several(wrong)
+    with pytest.raises(InputError, match=r"got torch\.Tensor"):
+        several(tensor())
+
+
+def test_only_pictures_are_written(tmp_path, rgb):
+    with pytest.raises(ImageError, match="white is 1"):
+        write_image(tmp_path / "a.png", rgb / 255)
+    assert not list(tmp_path.iterdir())
 
 
 def test_pictures_are_found_in_files_and_folders(tmp_path):

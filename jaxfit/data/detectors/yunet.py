@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.detectors.detector import Detection, Search, largest_first, merged
+from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.errors import InputError
 
 KIND = "yunet"
@@ -93,8 +94,9 @@ class YuNet:
         """No: a second pass gains nothing, as ``scripts/detectors.py`` measures."""
         return False
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
-        """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
+    def __call__(self, image: Pixels) -> list[Detection]:
+        """The faces in a picture, as in `jaxfit.data.pictures.to_eight_bits`, largest first."""
+        image = to_eight_bits(image)
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
         parts = _parts(bgr, self.search.smallest_in(bgr.shape))
         found = merged((face for part in parts for face in self._faces(part)), _SAME)
