@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from glob import glob
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -12,13 +13,19 @@ import cv2
 import jax
 import numpy as np
 
-from jaxfit.data.headers import END_OF_IMAGE, JPEG, PNG, jpeg_markers
+from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import ImageError, InputError
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
-# Taken up from folders all the same, so that read_image says what is wrong with them.
-_UNREADABLE_SUFFIXES = (".heic", ".heif")
+# Taken up from folders as well, by their names; read_image says what is wrong with those that it cannot read. Files of
+# other names are taken up if they begin like pictures.
+READABLE_SUFFIXES = (
+    *PICTURE_SUFFIXES,
+    *(".jfif", ".jpe", ".gif", ".avif", ".jp2", ".pbm", ".pgm", ".ppm", ".pnm", ".heic", ".heif", ".hif", ".jxl"),
+)
+# In most of these OpenCV finds a thumbnail only.
+_RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw")
 _VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
@@ -32,11 +39,12 @@ NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
 _LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
-_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 
 
 def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
     """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped and 16 bits become 8.
+
+    HEIC pictures need the extra ``jaxfit[heif]``.
 
     Args:
         path: the file, or the bytes in it.
@@ -100,13 +108,19 @@ def _data(path: str | Path | bytes) -> bytes:
         with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
             return file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
-        raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        why = _listing_problem(path) if isinstance(error, IsADirectoryError) else None
+        raise ImageError(f"{path}: cannot be read ({why or getattr(error, 'strerror', None) or error})") from error
 
 
 def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarray:
     """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
     if complaint := _complaint(data):
         raise ImageError(f"{source}: {complaint}")
+    if Path(source).suffix.lower() in _RAW_SUFFIXES:
+        raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
+    if is_heic(data):
+        picture = _from_heic(source, data)
+        return to_grey(picture) if flags == cv2.IMREAD_GRAYSCALE else picture
     flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with quiet():
@@ -116,6 +130,32 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     if picture is None:
         raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def require_heif() -> None:
+    """Check that HEIC pictures can be read.
+
+    Raises:
+        ImageError: pillow-heif is not installed.
+    """
+    if find_spec("pillow_heif") is None:
+        raise ImageError(
+            'HEIC pictures need pillow-heif, which is not installed: pip install "jaxfit[heif]", or convert it to JPEG'
+        )
+
+
+def _from_heic(source: str | Path, data: bytes) -> np.ndarray:
+    """A HEIC picture, RGB and upright: how it is turned is a part of its coding, whatever its EXIF data say."""
+    try:
+        require_heif()
+        import pillow_heif
+
+        picture = to_eight_bits(np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True)))
+    except ImageError as error:
+        raise ImageError(f"{source}: {error}") from None
+    except (EOFError, OSError, RuntimeError, SyntaxError, ValueError) as error:
+        raise ImageError(f"{source}: cannot be decoded ({error})") from error
+    return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
 
 
 class GreyPictures:
@@ -277,21 +317,24 @@ def _advice(image: np.ndarray) -> str:
 def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Path]:
     """The files among ``paths`` and the pictures in the folders among them, folders sorted by name.
 
-    What is named twice comes once. Hidden files and folders in folders are left out. A path that does not exist may be
-    a pattern, such as ``photos/*.jpg`` or ``photos/**/*.jpg``.
+    In folders, pictures are known by their names or by how they begin. What cannot be read is in the list too, folders
+    within folders included: `read_image` says what is wrong with it. What is named twice comes once. Hidden files and
+    folders in folders are left out. A path that does not exist may be a pattern, such as ``photos/*.jpg`` or
+    ``photos/**/*.jpg``.
 
     Args:
         paths: files, folders and patterns.
         recursive: take pictures in folders within the folders, too.
 
     Raises:
-        InputError: a path does not exist, nothing fits a pattern, a folder has no picture, or a file is a video.
+        InputError: a path does not exist, nothing fits a pattern, a folder cannot be read or has no picture, or a file
+            is a video.
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        matches = [path] if path.exists() else sorted(map(Path, glob(str(path), recursive=True)))
+        matches = [path] if os.path.exists(path) else sorted(map(Path, glob(str(path), recursive=True)))
         if not matches:
-            raise InputError(f"no such file or folder: {path}")
+            raise InputError(_absent(path))
         for match in matches:
             if match.is_dir() and (match == path or recursive):
                 found += _pictures_in(match, recursive)
@@ -302,21 +345,70 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     return list(dict.fromkeys(found))
 
 
+def _absent(path: Path) -> str:
+    """Why there is nothing under a name: folders around it may be closed to us."""
+    try:
+        path.lstat()
+    except PermissionError as error:
+        return f"{path}: cannot be read ({error.strerror}); expected a file or folder that you may read"
+    except (OSError, ValueError):
+        pass
+    return f"no such file or folder: {path}"
+
+
 def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
-    wanted = (*PICTURE_SUFFIXES, *_UNREADABLE_SUFFIXES)
+    if why := _listing_problem(folder):
+        raise InputError(f"{folder}: the folder cannot be read ({why}); expected one that you may read")
     pictures: list[Path] = []
-    for place, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if recursive and not name.startswith("."))
+    closed: list[Path] = []  # until their turn comes
+    visited: set[str] = set()
+    deeper = False
+    for place, folders, files in os.walk(
+        folder, onerror=lambda error: closed.append(Path(error.filename)), followlinks=True
+    ):
+        pictures += closed
+        closed.clear()
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        deeper = deeper or bool(folders)
+        if (real := os.path.realpath(place)) in visited:  # links may lead round in circles
+            folders.clear()
+            continue
+        visited.add(real)
+        if not recursive:
+            folders.clear()
         pictures += (
-            path
-            for name in sorted(files)
-            if name.lower().endswith(wanted)
-            and not name.startswith(".")
-            and ((path := Path(place, name)).is_file() or path.is_symlink())  # links to nothing are reported
+            path for name in sorted(files) if not name.startswith(".") and _is_picture(path := Path(place, name))
         )
+    pictures += closed
     if not pictures:
-        raise InputError(f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}")
+        hint = "; to look into the folders in it, give --recursive (recursive=True)" if deeper and not recursive else ""
+        raise InputError(
+            f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}, or others that begin as "
+            f"such do{hint}"
+        )
     return pictures
+
+
+def _is_picture(path: Path) -> bool:
+    """Whether a file of a folder is a picture, or should be one: its name says so, or how it begins."""
+    if not os.path.isfile(path):  # links to nothing, and what may not be looked at, are reported; devices are not read
+        return path.suffix.lower() in READABLE_SUFFIXES and not os.path.exists(path)
+    if path.suffix.lower() in READABLE_SUFFIXES:
+        return True
+    try:
+        with open(path, "rb", buffering=0) as file:
+            return looks_like_picture(file.read(BEGINNING))
+    except OSError:
+        return path.suffix.lower() in _RAW_SUFFIXES
+
+
+def _listing_problem(folder: str | Path) -> str | None:
+    """Why the files of a folder cannot be listed; None if they can."""
+    try:
+        os.scandir(folder).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 @contextmanager
@@ -342,8 +434,6 @@ def _complaint(data: bytes) -> str | None:
     """Why not to decode ``data``; OpenCV's own answer is often silence and a picture that is grey from some row on."""
     if not data:
         return "the file is empty"
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
-        return "HEIC pictures are not supported; convert it to JPEG"
     if (data.startswith(JPEG) and not _has_end(data)) or (data.startswith(PNG) and b"IEND" not in data):
         return "the file is truncated; copy or download it again"
     return None

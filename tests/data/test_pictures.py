@@ -1,6 +1,8 @@
 """Pictures from files: every kind that cameras and editors write, and every way to be broken."""
 
+import errno
 import io
+import os
 import re
 import struct
 from pathlib import Path
@@ -12,6 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax import numpy as jnp
 
+from jaxfit.data import pictures
+from jaxfit.data.headers import stored_size
 from jaxfit.data.pictures import (
     GreyPictures,
     decode_image,
@@ -161,13 +165,31 @@ def test_what_follows_a_jpeg_does_not_matter(tmp_path, rgb):
     [
         (b"", "empty"),
         (b"x" * 1000, "not a picture"),
-        (b"\x00\x00\x00\x18ftypheic" + b"\x00" * 100, "HEIC pictures are not supported; convert it to JPEG"),
         (b"\xff\xd8", "truncated"),
     ],
 )
 def test_files_that_are_no_pictures(tmp_path, data, reason):
     with pytest.raises(ImageError, match=rf"picture: .*{reason}"):
         read_bytes(tmp_path, data)
+
+
+def test_heic_is_read_or_says_what_reads_it(tmp_path, rgb, monkeypatch):
+    data = b"\x00\x00\x00\x18ftypheic" + b"\x00" * 100
+    with monkeypatch.context() as patch:
+        patch.setattr(pictures, "find_spec", lambda name: None)
+        with pytest.raises(ImageError, match=r'picture: HEIC .*pip install "jaxfit\[heif\]", or convert it to JPEG'):
+            read_bytes(tmp_path, data)
+    pil, heif = pytest.importorskip("PIL.Image"), pytest.importorskip("pillow_heif")
+    file = io.BytesIO()
+    heif.from_pillow(pil.fromarray(rgb)).save(file, quality=95)
+    for read in (read_image, lambda path: np.dstack([read_upright(path)] * 3)):
+        (tmp_path / "a.heic").write_bytes(file.getvalue())
+        seen = read(tmp_path / "a.heic").astype(int)
+        assert np.abs(seen - (rgb if read is read_image else to_grey(rgb)[..., None])).mean() < 4
+    assert stored_size(file.getvalue()) == (64, 64)  # which codes 64 x 48
+    for wrong in (data, file.getvalue()[:-100]):
+        with pytest.raises(ImageError, match="picture: cannot be decoded"):
+            read_bytes(tmp_path, wrong)
 
 
 def test_pictures_in_memory_are_like_those_in_files(tmp_path, rgb):
@@ -326,6 +348,71 @@ def test_pictures_are_found_in_files_and_folders(tmp_path):
     (tmp_path / "odd.name").touch()
     found = find_images([tmp_path / "odd.name", str(folder), folder / "a.png"])
     assert [path.name for path in found] == ["odd.name", "a.png", "b.JPG", "c.heic"]
+
+
+def test_what_looks_like_a_picture_is_found_whatever_its_name(tmp_path, rgb):
+    kinds = (".jpg", ".png", ".bmp", ".tif", ".webp", ".gif", ".avif", ".jp2", ".ppm")
+    names = {f"{kind[1:]}{ending}" for kind in kinds for ending in ("", ".part", kind)}
+    for name in names:
+        (tmp_path / name).write_bytes(encoded(rgb, f".{name.split('.')[0]}"))
+    (tmp_path / "a.jfif").write_bytes(encoded(rgb))
+    begun = {
+        "raw.dng": b"II*\0",
+        "new": b"\0\0\0\x0cJXL \r\n",
+        "phone": b"\0\0\0\x18ftypmif1\0\0\0\0heic",
+        "torn": b"\xff\xd8\xff",
+    }
+    others = {
+        "a.csv": b"BMI,1",
+        "b.txt": b"P5 is a letter and a digit",
+        "c.mp4": b"\0\0\0\x18ftypisom",
+        "d": b"",
+        "e.pts": b"version: 1",
+    }
+    for name, data in (begun | others).items():
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "gone.gif").symlink_to(tmp_path / "nothing")
+    os.mkfifo(tmp_path / "pipe.jpg")
+    found = find_images([tmp_path])
+    assert {path.name for path in found} == {*names, "a.jfif", *begun, "gone.gif"}
+    for path in found:
+        if path.name in {*begun, "gone.gif"}:
+            with pytest.raises(ImageError, match=re.escape(path.name)):
+                read_image(path)
+        else:
+            assert read_image(path).shape == rgb.shape
+
+
+def test_folders_that_cannot_be_read_are_said(tmp_path, rgb, monkeypatch):
+    for folder in ("open", "open/closed", "open/deep"):
+        (tmp_path / folder).mkdir()
+        write_image(tmp_path / folder / "a.png", rgb)
+    (tmp_path / "open" / "link").symlink_to(tmp_path / "open")  # in a circle
+    (tmp_path / "elsewhere").mkdir()
+    write_image(tmp_path / "elsewhere" / "b.png", rgb)
+    (tmp_path / "open" / "other").symlink_to(tmp_path / "elsewhere")
+    scandir = os.scandir
+
+    def closed(path):  # modes do not bind root
+        if Path(path).name == "closed":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", closed)
+    found = find_images([tmp_path / "open"], recursive=True)
+    assert {str(path.relative_to(tmp_path / "open")) for path in found} == {
+        "a.png",
+        "closed",
+        "deep/a.png",
+        "other/b.png",
+    }
+    with pytest.raises(ImageError, match=r"closed: cannot be read \(Permission denied\)"):
+        read_image(tmp_path / "open" / "closed")
+    with pytest.raises(InputError, match=r"closed: the folder cannot be read \(Permission denied\)"):
+        find_images([tmp_path / "open" / "closed"])
+    (tmp_path / "outer" / "inner").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"no pictures in .*--recursive"):
+        find_images([tmp_path / "outer"])
 
 
 def test_what_is_not_there_is_refused(tmp_path):
