@@ -119,8 +119,8 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
     if is_heic(data):
-        picture = _from_heic(source, data)
-        return to_grey(picture) if flags == cv2.IMREAD_GRAYSCALE else picture
+        rgb = _from_heic(source, data)
+        return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
     flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with quiet():

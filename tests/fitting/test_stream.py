@@ -184,7 +184,7 @@ def test_no_batch_has_faces_of_two_groups(model: Model, monkeypatch: pytest.Monk
         ("torn.jpg", [BOX], "the file is truncated"),
         ("empty.png", [BOX], "the file is empty"),
         ("words.png", [BOX], "not a picture, damaged"),
-        ("photo.heic", [BOX], "HEIC pictures are not supported"),
+        ("photo.heic", [BOX], "HEIC pictures need pillow-heif"),
         ("none.png", [BOX], "cannot be read (No such file"),
         (b"", [BOX], "the picture: the file is empty"),
         (PICTURE / 255, [BOX], "got float64"),
