@@ -12,7 +12,7 @@ import numpy as np
 from jaxfit.cli.arguments import add_detector, given_search, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detectors import DEFAULT_DETECTOR
-from jaxfit.data.outputs import atomic_write
+from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
 from jaxfit.data.overlays import draw_name, draw_row
 from jaxfit.data.rows import HEAD, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
@@ -22,7 +22,7 @@ from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.shapes.camera import ANGLES
 
-_OVERLAY = "overlay.webm"
+_COMMAND, _OVERLAY = "jaxfit track", "overlay.webm"
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
             redetect_every=options.redetect_every,
             smoothing=OneEuro() if options.smooth else None,
         )
+        require_own_folder(options.out, _COMMAND)
         folder = out_folder(options.out)
         table = csv.writer(stack.enter_context(atomic_write(folder / "faces.csv", "w")), lineterminator="\n")
         columns = _columns(model)
@@ -93,6 +94,8 @@ def run(options: argparse.Namespace) -> int:
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
     written = ["faces.csv", *([_OVERLAY] if options.overlay else [])]
+    replace_results(folder, _COMMAND, written, {"model": options.model, "video": source})
+    written.append(MANIFEST)
     print(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1
 
