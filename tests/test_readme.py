@@ -116,7 +116,7 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "results/faces.csv",
         "heads/heads.csv",
         "tracked/faces.csv",
-        "tracked/overlay.mp4",
+        "tracked/overlay.webm",
         "results-3d/report.json",
         "runs/report/report.html",
     ):

@@ -114,7 +114,7 @@ def fit_crops(
         passes: how often the cascade is run, each time from the mean face where the pass before found one.
 
     Raises:
-        InputError: crops of another size, or no passes.
+        InputError: crops of another size or type, or no passes.
     """
     return _landmarks(cascade, _best(cascade, _descended(cascade, crops, starts.rotations, passes).last))
 
@@ -200,7 +200,7 @@ def fit_heads(
             cascade's own parameters (3.4).
 
     Raises:
-        InputError: crops of another size, no passes, or a 2D cascade with nothing to align.
+        InputError: crops of another size or type, no passes, or a 2D cascade with nothing to align.
     """
     return _heads(cascade, aligned, _best(cascade, _descended(cascade, crops, starts.rotations, passes).last))
 
@@ -261,6 +261,8 @@ def _descended(
     side = cascade.frame.crop
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
+    if crops.dtype != jnp.uint8:  # white may be 1 in others: gradients would be weighed wrong, without a word
+        raise InputError(f"expected uint8 crops, as jaxfit.crop_faces cuts them; got {crops.dtype}")
     if passes < 1:
         raise InputError(f"expected at least one pass; got {passes}")
     prepared = vmap(cascade.descriptor.prepare)(crops)

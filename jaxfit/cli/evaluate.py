@@ -25,7 +25,7 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
 from jaxfit.data.detectors import Search, detector_named
-from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.evaluate import (
@@ -54,6 +54,7 @@ from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
+_COMMAND = "jaxfit evaluate"
 _ERROR_3D = "3D median"
 _COLUMNS = {"dataset": "", "relative to": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
 _BOX_COLUMNS = ("x", "y", "width", "height")
@@ -112,6 +113,7 @@ def run(options: argparse.Namespace) -> int:
         )
     if options.refine:
         require_refinable(model)
+    require_own_folder(options.out, _COMMAND)
     folder = out_folder(options.out)
     kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
     passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
@@ -152,6 +154,7 @@ def run(options: argparse.Namespace) -> int:
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
+    replace_results(folder, _COMMAND, ["report.json", "faces.csv"], {"model": options.model, "data": list(reports)})
     report_problems(
         untrained_starts(options.model, model, starts)
         + [problem for dataset in datasets for problem in dataset.problems]

@@ -53,7 +53,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help="write faces whose confidence, from 0 to 1, is below C to doubtful.csv instead of the tables; by default "
         "all faces stand in the tables, and the column ok says which are rather good than not",
     )
-    command.add_argument("--overwrite", action="store_true", help="begin anew where an unfinished run is in the way")
+    command.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="begin anew where an unfinished run is in the way, or replace results of another command or version",
+    )
     command.set_defaults(run=run)
 
 

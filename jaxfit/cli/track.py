@@ -12,7 +12,7 @@ import numpy as np
 from jaxfit.cli.arguments import add_detector, given_search, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detectors import DEFAULT_DETECTOR
-from jaxfit.data.outputs import atomic_write
+from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
 from jaxfit.data.overlays import draw_name, draw_row
 from jaxfit.data.rows import HEAD, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
@@ -21,6 +21,8 @@ from jaxfit.fitting.track import TrackedFrame, track
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.shapes.camera import ANGLES
+
+_COMMAND, _OVERLAY = "jaxfit track", "overlay.webm"
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -42,7 +44,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--redetect-every", type=int, default=10, metavar="N", help="look for new faces every N frames (default: 10)"
     )
     command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves")
-    command.add_argument("--overlay", action="store_true", help="write overlay.mp4, which has no sound")
+    command.add_argument("--overlay", action="store_true", help=f"write {_OVERLAY}, which has no sound")
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.set_defaults(run=run)
 
@@ -65,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
             redetect_every=options.redetect_every,
             smoothing=OneEuro() if options.smooth else None,
         )
+        require_own_folder(options.out, _COMMAND)
         folder = out_folder(options.out)
         table = csv.writer(stack.enter_context(atomic_write(folder / "faces.csv", "w")), lineterminator="\n")
         columns = _columns(model)
@@ -75,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
         # A camera has no end but this.
         with suppress(KeyboardInterrupt) if video.live else nullcontext():
             for frame in tracked:
-                bars("tracking faces", frame.number, video.count or frame.number)
+                bars("tracking faces", frame.number, max(video.count, frame.number))
                 table.writerows(_rows(frame, columns))
                 if frame.problem:
                     problems.append(frame.problem)
@@ -90,19 +93,21 @@ def run(options: argparse.Namespace) -> int:
     print(
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
-    written = ["faces.csv", *(["overlay.mp4"] if options.overlay else [])]
+    written = ["faces.csv", *([_OVERLAY] if options.overlay else [])]
+    replace_results(folder, _COMMAND, written, {"model": options.model, "video": source})
+    written.append(MANIFEST)
     print(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1
 
 
 @contextmanager
 def _film(folder: Path | None, frame_rate: float) -> Iterator[Callable[[TrackedFrame], None]]:
-    """What draws frames with their faces into ``overlay.mp4``; without a folder nothing."""
+    """What draws frames with their faces into ``overlay.webm``; without a folder nothing."""
     if folder is None:
         yield lambda frame: None
         return
-    with write_video(folder / "overlay.mp4", frame_rate) as write:
-        yield lambda frame: write(_drawn(frame))
+    with write_video(folder / _OVERLAY, frame_rate) as write:
+        yield lambda frame: write(_drawn(frame), frame.seconds)
 
 
 def _drawn(frame: TrackedFrame) -> np.ndarray:

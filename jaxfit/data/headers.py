@@ -6,6 +6,15 @@ from collections.abc import Iterator
 
 JPEG = b"\xff\xd8"
 PNG = b"\x89PNG\r\n\x1a\n"
+_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+_ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
+# How other files of pictures begin; of bitmaps and Netpbm's more has to be right, as words may begin so.
+_BEGINNINGS = re.compile(
+    rb"GIF8[79]a|II\*\0|MM\0\*|RIFF....WEBP|BM....\0{4}....[\x0c\x28\x34\x38\x40\x6c\x7c]\0{3}|P[1-6]\s+(#|\d+\s+\d+\s)|"
+    rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51|\0\0\0\x0cJXL |\xff\x0a|#\?RADIANCE|v/1\x01|8BPS|\x59\xa6\x6a\x95",
+    re.DOTALL,
+)
+BEGINNING = 64  # bytes of a file that tell whether it is a picture
 END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
 # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan; 0x01 has no
@@ -13,8 +22,24 @@ _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this ran
 _MARKER = re.compile(rb"\xff([^\x00\x01\xff\xd0-\xd7])", re.DOTALL)
 
 
+def looks_like_picture(data: bytes) -> bool:
+    """Whether a file begins like one of a picture, of any format: also of those that OpenCV does not read.
+
+    Args:
+        data: its first ``BEGINNING`` bytes, or more.
+    """
+    if data[4:8] == b"ftyp":
+        return data[8:12] in _ISO_PICTURES
+    return data.startswith((JPEG + b"\xff", PNG)) or _BEGINNINGS.match(data) is not None
+
+
+def is_heic(data: bytes) -> bool:
+    """Whether a file begins like one of a HEIC picture, and not like another of its family, such as AVIF."""
+    return data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS and b"avif" not in data[8:BEGINNING]
+
+
 def stored_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels, as stored, of a JPEG, PNG, WebP or BMP picture; None for all else.
+    """Width and height in pixels, as stored, of a JPEG, PNG, WebP, BMP or HEIC picture; None for all else.
 
     They are what the header promises: the picture may be damaged all the same.
     """
@@ -28,6 +53,8 @@ def stored_size(data: bytes) -> tuple[int, int] | None:
             return _webp_size(data)
         if data.startswith(b"BM"):
             return _bmp_size(data)
+        if is_heic(data):
+            return _heic_size(data)
     except struct.error:  # the header is cut off
         pass
     return None
@@ -73,3 +100,9 @@ def _bmp_size(data: bytes) -> tuple[int, int]:
     (header,) = struct.unpack_from("<I", data, 14)
     width, height = struct.unpack_from("<HH" if header == 12 else "<ii", data, 18)
     return abs(width), abs(height)  # negative heights: the first row is the upper one
+
+
+def _heic_size(data: bytes) -> tuple[int, int] | None:
+    """Of the largest of the pictures in the file, which are tiles, thumbnails and the whole."""
+    sizes = [struct.unpack_from(">II", data, found.end() + 4) for found in re.finditer(b"ispe", data)]
+    return max(sizes, key=lambda size: size[0] * size[1], default=None)

@@ -5,11 +5,81 @@ import json
 import os
 import secrets
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Any, Literal
 
+import jaxfit
 from jaxfit.errors import InputError
+
+MANIFEST = "manifest.json"  # of a folder of results: what a run wrote, which command it was, and when
+
+
+def require_own_folder(folder: str | Path, command: str) -> None:
+    """Check that a folder of results is a command's own: new, without results, or with those of an earlier run of it.
+
+    Raises:
+        InputError: another command wrote there, or the manifest is damaged.
+    """
+    before = _manifest(Path(folder))
+    if before is not None and before["command"] != command:
+        raise InputError(
+            f"{folder} holds results of `{before['command']}` of {before['when']}; expected a new folder, or one that "
+            f"`{command}` wrote to: use another --out"
+        )
+
+
+def replace_results(
+    folder: str | Path, command: str, written: Iterable[str], settings: dict[str, Any], others: Iterable[str] = ()
+) -> None:
+    """Remove what the run before this one wrote to a folder and this one did not, and write this one's manifest.
+
+    Files of nobody's manifest stay.
+
+    Args:
+        folder: of the results.
+        command: that wrote them.
+        written: its files, by their paths in the folder.
+        settings: JSON values, for readers.
+        others: files that are removed as well, unless this run wrote them.
+    """
+    folder, files = Path(folder), sorted({*written})
+    before: list[str] = []
+    with suppress(InputError):  # a damaged manifest is replaced
+        before = (_manifest(folder) or {"files": []})["files"]
+    for name in sorted({*before, *others} - {*files}):
+        path = folder / name
+        if ".." not in Path(name).parts and not Path(name).is_absolute():  # whoever wrote the manifest
+            path.unlink(missing_ok=True)
+            if path.parent != folder:
+                with suppress(OSError):  # others' files are in it
+                    path.parent.rmdir()
+    account = {
+        "command": command,
+        "jaxfit": jaxfit.__version__,
+        "when": datetime.now(UTC).isoformat(timespec="seconds"),
+        "settings": settings,
+        "files": files,
+    }
+    with atomic_write(folder / MANIFEST, "w") as file:
+        json.dump(account, file, indent=1)
+
+
+def _manifest(folder: Path) -> dict[str, Any] | None:
+    """The manifest of a folder of results, if there is one."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not (isinstance(found["command"], str) and all(isinstance(name, str) for name in found["files"])):
+            raise ValueError("a command and files that are no text")
+        return {"when": "unknown time"} | found
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: expected the manifest of a folder of jaxfit's results ({error}); use another --out, or remove it"
+        ) from None
 
 
 def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:

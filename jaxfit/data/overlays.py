@@ -9,6 +9,7 @@ from jax import numpy as jnp
 
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.crops import turned
+from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.data.rows import Row
 from jaxfit.errors import InputError
 from jaxfit.schemes.scheme import Scheme
@@ -30,7 +31,7 @@ _FARTHEST = 2.0**15  # pixels; beyond, OpenCV's integers overflow
 
 
 def draw_landmarks(
-    rgb: np.ndarray,
+    rgb: Pixels,
     landmarks: np.ndarray,
     scheme: Scheme,
     box: np.ndarray | None = None,
@@ -41,13 +42,14 @@ def draw_landmarks(
     Lines and points are as thick as the face is large. Points that are NaN, and lines to them, are left out.
 
     Args:
-        rgb: (H, W, 3) or (H, W) uint8.
+        rgb: a picture as in `jaxfit.data.pictures.to_eight_bits`.
         landmarks: (L, 2) pixels, drawn in cyan.
         scheme: says which points lines join.
         box: (4,) x, y, width, height of the face box, drawn in yellow.
         truth: (L, 2) pixels, the labels, drawn in red below the landmarks.
 
     Raises:
+        ImageError: no such picture.
         InputError: not as many landmarks as the scheme has.
     """
     canvas = _canvas(rgb, box)
@@ -58,7 +60,7 @@ def draw_landmarks(
 
 
 def draw_head(
-    rgb: np.ndarray,
+    rgb: Pixels,
     landmarks_3d: np.ndarray,
     pose: np.ndarray,
     scheme: Scheme,
@@ -72,7 +74,7 @@ def draw_head(
     drawn brighter, encloses the head. What is NaN, and what depends on it, is left out.
 
     Args:
-        rgb: (H, W, 3) or (H, W) uint8.
+        rgb: a picture as in `jaxfit.data.pictures.to_eight_bits`.
         landmarks_3d: (L, 3) x and y in pixels, z in the same units, away from the viewer.
         pose: (3,) roll, pitch, yaw in degrees.
         scheme: says which points lines join.
@@ -80,6 +82,7 @@ def draw_head(
         truth: (L, 2) pixels, the labels, drawn in red below all else but the box.
 
     Raises:
+        ImageError: no such picture.
         InputError: not as many landmarks as the scheme has, or a pose that is not three angles.
     """
     if landmarks_3d.shape != (scheme.count, 3):
@@ -127,24 +130,22 @@ def outline_of(landmarks_3d: np.ndarray, pose: np.ndarray) -> Outline:
     return Outline(corners, np.vstack([origin, tips]))
 
 
-def draw_row(rgb: np.ndarray, row: Row, scheme: Scheme, boxed: bool = True) -> np.ndarray:
+def draw_row(rgb: Pixels, row: Row, scheme: Scheme, boxed: bool = True) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a fitted face drawn over it, in 3D if the model has that.
     A fit that is not ok is drawn in orange.
 
     Args:
-        rgb: (H, W, 3) or (H, W) uint8.
+        rgb: a picture as in `jaxfit.data.pictures.to_eight_bits`.
         row: the face, as `jaxfit.Fits.rows` gives it.
         scheme: says which points lines join.
         boxed: draw the face box, too.
     """
-    canvas = cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB) if rgb.ndim == 2 else rgb
+    canvas = _canvas(rgb, None)
     if boxed:
-        canvas = canvas.copy()
         corners = _turned_corners(box_of(row), row["box"]["rotation"])
         _lines(canvas, corners, ((0, 1, 2, 3, 0),), _YELLOW if row["ok"] else _ORANGE, _thickness(corners, canvas))
     solid = solid_points(row)
     if solid is None or not row["ok"]:
-        canvas = canvas.copy()
         _face(canvas, np.array(row["landmarks"]), scheme, _CYAN if row["ok"] else _ORANGE)
         return canvas
     return draw_head(canvas, solid, np.array(list(row["pose"].values())), scheme)
@@ -171,7 +172,7 @@ def solid_points(row: Row) -> np.ndarray | None:
     return np.column_stack([np.array(row["landmarks"]), np.array(row["landmarks_3d"])[:, 2]])
 
 
-def draw_name(rgb: np.ndarray, name: str, box: np.ndarray, ok: bool = True) -> np.ndarray:
+def draw_name(rgb: Pixels, name: str, box: np.ndarray, ok: bool = True) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,); in orange if
     its fit is not ok."""
     canvas = _canvas(rgb, None)
@@ -186,8 +187,9 @@ def draw_name(rgb: np.ndarray, name: str, box: np.ndarray, ok: bool = True) -> n
     return canvas
 
 
-def _canvas(rgb: np.ndarray, box: np.ndarray | None) -> np.ndarray:
+def _canvas(rgb: Pixels, box: np.ndarray | None) -> np.ndarray:
     """A copy (H, W, 3) of a picture with the face box, if there is one."""
+    rgb = to_eight_bits(rgb)
     canvas = cv2.cvtColor(rgb, cv2.COLOR_GRAY2RGB) if rgb.ndim == 2 else rgb.copy()
     if box is not None and np.isfinite(box).all():
         x, y, width, height = box

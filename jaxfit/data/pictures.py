@@ -1,36 +1,50 @@
 """Pictures from and to files: whole, upright, 8-bit, or a clear reason why not."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from glob import glob
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
 from typing import Any
 
 import cv2
+import jax
 import numpy as np
 
-from jaxfit.data.headers import END_OF_IMAGE, JPEG, PNG, jpeg_markers
+from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import ImageError, InputError
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
-# Taken up from folders all the same, so that read_image says what is wrong with them.
-_UNREADABLE_SUFFIXES = (".heic", ".heif")
+# Taken up from folders as well, by their names; read_image says what is wrong with those that it cannot read. Files of
+# other names are taken up if they begin like pictures.
+READABLE_SUFFIXES = (
+    *PICTURE_SUFFIXES,
+    *(".jfif", ".jpe", ".gif", ".avif", ".jp2", ".pbm", ".pgm", ".ppm", ".pnm", ".heic", ".heif", ".hif", ".jxl"),
+)
+# In most of these OpenCV finds a thumbnail only.
+_RAW_SUFFIXES = (".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw")
 _VIDEO_SUFFIXES = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".webm", ".wmv")
 # OpenCV has one log for all threads: the first to come silences it, the last to leave does not.
 _QUIET, _inside, _level_before = Lock(), 0, 0
 
-Image = np.ndarray | str | Path | bytes  # pixels, a file, or the bytes in one
-Images = Sequence[Image] | np.ndarray
-Read = Callable[[Any], np.ndarray]  # of a Path or bytes; bytes only where pictures come as such
+# What callers hand over may be anything: `to_eight_bits` and `several` say what is wrong with it.
+Pixels = Any  # an array of NumPy or JAX, or a PIL image
+Image = Any  # such pixels, a file, or the bytes in one
+Images = Any  # a list of such, an array, a generator: what has an order
+Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures come as such
 NAMELESS = "the picture"  # what errors call one that came without a file
-_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+_PIL = Lock()  # its images read their files when they are first used, in one thread at a time
+_ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
+_LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 
 
 def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
     """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped and 16 bits become 8.
+
+    HEIC pictures need the extra ``jaxfit[heif]``.
 
     Args:
         path: the file, or the bytes in it.
@@ -94,13 +108,19 @@ def _data(path: str | Path | bytes) -> bytes:
         with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
             return file.read()
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
-        raise ImageError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
+        why = _listing_problem(path) if isinstance(error, IsADirectoryError) else None
+        raise ImageError(f"{path}: cannot be read ({why or getattr(error, 'strerror', None) or error})") from error
 
 
 def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndarray:
     """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
     if complaint := _complaint(data):
         raise ImageError(f"{source}: {complaint}")
+    if Path(source).suffix.lower() in _RAW_SUFFIXES:
+        raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
+    if is_heic(data):
+        rgb = _from_heic(source, data)
+        return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
     flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
     try:
         with quiet():
@@ -110,6 +130,32 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     if picture is None:
         raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
     return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def require_heif() -> None:
+    """Check that HEIC pictures can be read.
+
+    Raises:
+        ImageError: pillow-heif is not installed.
+    """
+    if find_spec("pillow_heif") is None:
+        raise ImageError(
+            'HEIC pictures need pillow-heif, which is not installed: pip install "jaxfit[heif]", or convert it to JPEG'
+        )
+
+
+def _from_heic(source: str | Path, data: bytes) -> np.ndarray:
+    """A HEIC picture, RGB and upright: how it is turned is a part of its coding, whatever its EXIF data say."""
+    try:
+        require_heif()
+        import pillow_heif
+
+        picture = to_eight_bits(np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True)))
+    except ImageError as error:
+        raise ImageError(f"{source}: {error}") from None
+    except (EOFError, OSError, RuntimeError, SyntaxError, ValueError) as error:
+        raise ImageError(f"{source}: cannot be decoded ({error})") from error
+    return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
 
 
 class GreyPictures:
@@ -142,16 +188,17 @@ class GreyPictures:
         return self._kept[path]
 
 
-def write_image(path: str | Path, rgb: np.ndarray) -> None:
-    """Write a picture, uint8 (H, W, 3) RGB or (H, W) grey, in the format that the name's suffix says, atomically.
+def write_image(path: str | Path, rgb: Pixels) -> None:
+    """Write a picture as in `to_eight_bits`, with 8 bits, in the format that the name's suffix says, atomically.
 
     Raises:
         InputError: no format has this suffix, or the folder is missing.
-        ImageError: the picture is too large for the format.
+        ImageError: it is no such picture, or too large for the format.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in PICTURE_SUFFIXES:
         raise InputError(f"cannot write {path}: expected a name ending in one of {' '.join(PICTURE_SUFFIXES)}")
+    rgb = to_eight_bits(rgb)
     stored = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR) if rgb.ndim == 3 else rgb
     with quiet():
         done, encoded = cv2.imencode(suffix, stored)
@@ -162,7 +209,7 @@ def write_image(path: str | Path, rgb: np.ndarray) -> None:
         file.write(encoded.tobytes())
 
 
-def to_grey(image: np.ndarray) -> np.ndarray:
+def to_grey(image: Pixels) -> np.ndarray:
     """Luminance, uint8 (H, W), of a picture as in `to_eight_bits`.
 
     Raises:
@@ -172,46 +219,122 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
 
 
-def to_eight_bits(image: np.ndarray) -> np.ndarray:
-    """A uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA as uint8, (H, W) or (H, W, 3).
+def to_eight_bits(image: Pixels) -> np.ndarray:
+    """A picture as a contiguous uint8 array, (H, W) or (H, W, 3) RGB.
 
-    Transparency is dropped, of 16 bits the upper 8 are kept.
+    It may be a uint8 or uint16 array of NumPy or JAX, (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA; or a PIL
+    image of any mode that PIL makes RGB or grey of. Transparency is dropped, of 16 bits the upper 8 are kept.
 
     Raises:
-        ImageError: another type of number, another number of axes or channels, or no pixels.
+        ImageError: another kind of object; another type of number, another number of axes or channels, or no pixels; a
+            picture of 16 bits that uses only the lower ones; or a PIL image that is damaged, or is still to be turned
+            as its EXIF data say.
     """
-    image = np.asarray(image)  # None, as from a failed cv2.imread, is refused below like any other object
+    image = _array(image)
     channels = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
-    if image.dtype not in (np.uint8, np.uint16) or channels not in (1, 3, 4) or not image.size:
+    deep = image.dtype.kind == "u" and image.dtype.itemsize == 2  # in either order of bytes
+    if not (image.dtype == np.uint8 or deep) or channels not in (1, 3, 4) or not image.size:
         raise ImageError(
             "expected a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA with at least one "
-            f"pixel; got {image.dtype} {image.shape}"
+            f"pixel; got {image.dtype} {image.shape}{_advice(image)}"
         )
-    if image.dtype == np.uint16:
+    if deep:
+        if 0 < (largest := int(image.max())) < _LEAST_OF_SIXTEEN:
+            raise ImageError(
+                f"expected a uint16 picture with values up to 65535, of which the upper 8 bits are kept; its largest "
+                f"value is {largest}: scale it, or give image.astype(numpy.uint8) if its values go up to 255"
+            )
         image = (image >> 8).astype(np.uint8)
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
     return np.ascontiguousarray(image[..., :3])
 
 
+def _array(image: Pixels) -> np.ndarray:
+    if isinstance(image, np.ndarray | jax.Array):
+        return np.asarray(image)
+    if _is_of_pil(image):
+        return _array_of_pil(image)
+    advice = "make it a uint8 array (H, W, 3) first, as tensor.cpu().numpy() and numpy.asarray do"
+    if isinstance(image, str | bytes | os.PathLike):
+        advice = "read files with jaxfit.read_image"
+    raise ImageError(f"expected an array of NumPy or JAX, or a PIL image; got {kind_of(image)}; {advice}")
+
+
+def kind_of(thing: object) -> str:
+    """What an object is, with the package that it comes from: ``torch.Tensor``."""
+    package = type(thing).__module__.partition(".")[0]
+    return type(thing).__qualname__ if package == "builtins" else f"{package}.{type(thing).__qualname__}"
+
+
+def _is_of_pil(thing: object) -> bool:
+    """Whether an object is one of PIL's, which need not be installed."""
+    return any(of.__module__.partition(".")[0] == "PIL" for of in type(thing).__mro__)
+
+
+def _array_of_pil(image: Any) -> np.ndarray:
+    """The pixels of a PIL image: what its numbers mean is up to its mode, as with palettes and CMYK."""
+    try:
+        with _PIL:
+            image.load()
+        orientation = image.getexif().get(_ORIENTATION, _UPRIGHT)
+        if image.mode.startswith("I;16"):  # which PIL would cut off at 255
+            return np.asarray(image)
+        if image.mode not in ("I", "F"):  # numbers of any range: refused as such arrays are
+            # Transparent palettes become RGBA only; RGBA becomes RGB.
+            image = image.convert("L" if image.mode in ("1", "L", "LA", "La") else "RGBA").convert("RGB")
+        array = np.asarray(image)
+    except (AttributeError, OSError, SyntaxError, TypeError, ValueError) as error:
+        raise ImageError(f"a PIL image that cannot be used ({error})") from error
+    if orientation in range(_UPRIGHT + 1, 9):
+        raise ImageError(
+            f"expected upright pixels; the PIL image's EXIF data say that they are still to be turned (orientation "
+            f"{orientation}): give PIL.ImageOps.exif_transpose(image), or numpy.asarray(image.convert('RGB')) for its "
+            "pixels as they are"
+        )
+    return array
+
+
+def _advice(image: np.ndarray) -> str:
+    """What to do about an array that is no picture, as far as it can be guessed; behind a semicolon."""
+    if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[2] not in (1, 3, 4):
+        return "; channels come last: numpy.moveaxis(image, 0, -1)"
+    if image.dtype.kind == "b":
+        return "; give 255 * image.astype(numpy.uint8)"
+    if image.dtype.kind in "iu":
+        return "; give image.astype(numpy.uint8) if its values go from 0 to 255"
+    if image.dtype.kind != "f" or not np.isfinite(image).all() or not image.size:
+        return ""
+    low, high = float(image.min()), float(image.max())
+    within = f" with values from {low:.3g} to {high:.3g}, whose black and white are not known; give "
+    if low >= 0 and high <= 1:
+        return f"{within}(255 * image).round().astype(numpy.uint8) if white is 1"
+    if low >= 0 and high <= 255:
+        return f"{within}image.round().astype(numpy.uint8) if white is 255"
+    return f"{within}uint8 values, from 0, black, to 255, white"
+
+
 def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Path]:
     """The files among ``paths`` and the pictures in the folders among them, folders sorted by name.
 
-    What is named twice comes once. Hidden files and folders in folders are left out. A path that does not exist may be
-    a pattern, such as ``photos/*.jpg`` or ``photos/**/*.jpg``.
+    In folders, pictures are known by their names or by how they begin. What cannot be read is in the list too, folders
+    within folders included: `read_image` says what is wrong with it. What is named twice comes once. Hidden files and
+    folders in folders are left out. A path that does not exist may be a pattern, such as ``photos/*.jpg`` or
+    ``photos/**/*.jpg``.
 
     Args:
         paths: files, folders and patterns.
         recursive: take pictures in folders within the folders, too.
 
     Raises:
-        InputError: a path does not exist, nothing fits a pattern, a folder has no picture, or a file is a video.
+        InputError: a path does not exist, nothing fits a pattern, a folder cannot be read or has no picture, or a file
+            is a video.
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        matches = [path] if path.exists() else sorted(map(Path, glob(str(path), recursive=True)))
+        matches = [path] if os.path.exists(path) else sorted(map(Path, glob(str(path), recursive=True)))
         if not matches:
-            raise InputError(f"no such file or folder: {path}")
+            raise InputError(_absent(path))
         for match in matches:
             if match.is_dir() and (match == path or recursive):
                 found += _pictures_in(match, recursive)
@@ -222,21 +345,70 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     return list(dict.fromkeys(found))
 
 
+def _absent(path: Path) -> str:
+    """Why there is nothing under a name: folders around it may be closed to us."""
+    try:
+        path.lstat()
+    except PermissionError as error:
+        return f"{path}: cannot be read ({error.strerror}); expected a file or folder that you may read"
+    except (OSError, ValueError):
+        pass
+    return f"no such file or folder: {path}"
+
+
 def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
-    wanted = (*PICTURE_SUFFIXES, *_UNREADABLE_SUFFIXES)
+    if why := _listing_problem(folder):
+        raise InputError(f"{folder}: the folder cannot be read ({why}); expected one that you may read")
     pictures: list[Path] = []
-    for place, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if recursive and not name.startswith("."))
+    closed: list[Path] = []  # until their turn comes
+    visited: set[str] = set()
+    deeper = False
+    for place, folders, files in os.walk(
+        folder, onerror=lambda error: closed.append(Path(error.filename)), followlinks=True
+    ):
+        pictures += closed
+        closed.clear()
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        deeper = deeper or bool(folders)
+        if (real := os.path.realpath(place)) in visited:  # links may lead round in circles
+            folders.clear()
+            continue
+        visited.add(real)
+        if not recursive:
+            folders.clear()
         pictures += (
-            path
-            for name in sorted(files)
-            if name.lower().endswith(wanted)
-            and not name.startswith(".")
-            and ((path := Path(place, name)).is_file() or path.is_symlink())  # links to nothing are reported
+            path for name in sorted(files) if not name.startswith(".") and _is_picture(path := Path(place, name))
         )
+    pictures += closed
     if not pictures:
-        raise InputError(f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}")
+        hint = "; to look into the folders in it, give --recursive (recursive=True)" if deeper and not recursive else ""
+        raise InputError(
+            f"no pictures in {folder}; expected files ending in {' '.join(PICTURE_SUFFIXES)}, or others that begin as "
+            f"such do{hint}"
+        )
     return pictures
+
+
+def _is_picture(path: Path) -> bool:
+    """Whether a file of a folder is a picture, or should be one: its name says so, or how it begins."""
+    if not os.path.isfile(path):  # links to nothing, and what may not be looked at, are reported; devices are not read
+        return path.suffix.lower() in READABLE_SUFFIXES and not os.path.exists(path)
+    if path.suffix.lower() in READABLE_SUFFIXES:
+        return True
+    try:
+        with open(path, "rb", buffering=0) as file:
+            return looks_like_picture(file.read(BEGINNING))
+    except OSError:
+        return path.suffix.lower() in _RAW_SUFFIXES
+
+
+def _listing_problem(folder: str | Path) -> str | None:
+    """Why the files of a folder cannot be listed; None if they can."""
+    try:
+        os.scandir(folder).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return None
 
 
 @contextmanager
@@ -262,8 +434,6 @@ def _complaint(data: bytes) -> str | None:
     """Why not to decode ``data``; OpenCV's own answer is often silence and a picture that is grey from some row on."""
     if not data:
         return "the file is empty"
-    if data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS:
-        return "HEIC pictures are not supported; convert it to JPEG"
     if (data.startswith(JPEG) and not _has_end(data)) or (data.startswith(PNG) and b"IEND" not in data):
         return "the file is truncated; copy or download it again"
     return None
@@ -277,21 +447,43 @@ def _has_end(jpeg: bytes) -> bool:
     return jpeg.endswith(bytes([0xFF, END_OF_IMAGE])) or any(marker == END_OF_IMAGE for marker, _ in jpeg_markers(jpeg))
 
 
-def require_several(images: Images) -> None:
-    """Check that pictures are a sequence of them.
+def several(images: Images) -> list[Image]:
+    """Pictures as a list: what comes from a generator is kept, and paths of any type are files.
 
     Raises:
-        InputError: it is one picture.
+        InputError: it is one picture, or nothing that pictures come in one after another.
     """
-    if isinstance(images, np.ndarray) and (images.ndim == 2 or (images.shape[-1] in (3, 4) and images.ndim == 3)):
-        raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
-    if isinstance(images, str | Path):
+    require_several(images)
+    return [
+        Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
+        for image in images
+    ]
+
+
+def require_several(images: Images) -> None:
+    """Check that pictures are several of them, in an order.
+
+    Raises:
+        InputError: as `several`.
+    """
+    if isinstance(images, np.ndarray | jax.Array):
+        if images.ndim == 2 or (images.ndim == 3 and images.shape[-1] in (3, 4)):
+            raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
+        return
+    if isinstance(images, str | os.PathLike):
         raise InputError(f"expected a sequence of images, got {str(images)!r}; put it in a list")
-    if isinstance(images, bytes):
+    if isinstance(images, bytes | bytearray):
         raise InputError(f"expected a sequence of images, got {len(images)} bytes; put them in a list")
+    if _is_of_pil(images):
+        raise InputError(f"expected a sequence of images, got {kind_of(images)}; put it, or its frames, in a list")
+    table = len(getattr(images, "shape", (0,))) != 1  # a tensor's parts, or a data frame's columns, are no pictures
+    if table or not isinstance(images, Iterable) or isinstance(images, Mapping | Set):
+        raise InputError(
+            f"expected a sequence of images: a list, a generator or an array of NumPy or JAX; got {kind_of(images)}"
+        )
 
 
-def pixels(image: Image, read: Read) -> np.ndarray:
+def pixels(image: Image, read: Read) -> Pixels:
     """The pixels of a picture, read if it is a file or the bytes of one."""
     if isinstance(image, bytes):
         return read(image)

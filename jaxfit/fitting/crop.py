@@ -7,7 +7,7 @@ from functools import partial
 from numpy.typing import ArrayLike
 
 from jaxfit.data.crops import Crop, Crops
-from jaxfit.data.pictures import Images, Read, require_several
+from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of, sources_of
 from jaxfit.fitting.fits import Problem
@@ -43,7 +43,7 @@ def crop_faces(
     Raises:
         InputError: ``boxes`` is not (N, 4), ``rotations`` is not (N,), or ``kind`` is unknown.
     """
-    require_several(images)
+    images = several(images)
     pipeline = Pipeline(model, read=read)
     sources = sources_of(model, images, boxes, kind, rotations)
     work = (partial(_cut_some, pipeline, sources[at : at + _TOGETHER]) for at in range(0, len(sources), _TOGETHER))

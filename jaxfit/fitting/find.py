@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
-from jaxfit.data.pictures import Images, Read, require_several
+from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Problem
@@ -53,7 +53,7 @@ def find_faces(
     Raises:
         InputError: there is no such detector, or one picture comes instead of a sequence.
     """
-    require_several(images)
+    images = several(images)
     finder = detector_named(detector, search) if isinstance(detector, str) else detector
     sources = [Source(image, name_of(image)) for image in images]
 

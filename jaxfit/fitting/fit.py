@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_array, rotation_array
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
-from jaxfit.data.pictures import Image, Images, Read, require_several
+from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.stream import Pipeline, Progress, Source, batch_sizes, compile_batches, stream
@@ -43,9 +43,10 @@ def fit(
 
     Args:
         model: from ``jaxfit.load``.
-        images: pictures: their files, which are read while others are fitted, the bytes of such files, or uint8 arrays
-            of any sizes, (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; for boxes of several faces in one picture give
-            it several times, one after the other.
+        images: pictures, in a list, an array or a generator, which is kept as a list: their files, which are read while
+            others are fitted, the bytes of such files, uint8 or uint16 arrays of NumPy or JAX of any sizes, (H, W)
+            grey, (H, W, 3) RGB or (H, W, 4) RGBA, or upright PIL images; for boxes of several faces in one picture
+            give it several times, one after the other.
         boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
         kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
             that a model knows stand in ``model.known_placements``. One for all, or N of them.
@@ -63,10 +64,10 @@ def fit(
         progress: called with the stage's name, what is done and what there is to do.
 
     Raises:
-        InputError: ``boxes`` is not (N, 4), ``kind``, ``detector`` or ``search`` is unknown or not asked for, or there
-            are no passes.
+        InputError: ``images`` is one picture, or nothing that pictures come in; ``boxes`` is not (N, 4), ``kind``,
+            ``detector`` or ``search`` is unknown or not asked for, or there are no passes.
     """
-    require_several(images)
+    images = several(images)
     if boxes is None:
         if kind != SQUARE or rotations is not None:
             raise InputError(
@@ -108,7 +109,7 @@ def require_no_search(search: Search) -> None:
 
 def sources_of(
     model: Model,
-    images: Images,
+    images: Sequence[Image],
     boxes: ArrayLike,
     kind: str | Sequence[str] = SQUARE,
     rotations: ArrayLike | None = None,
@@ -125,12 +126,11 @@ def sources_of(
     for each in {*kinds}:
         model.placement(each)
     array, turned = box_array(boxes, count), rotation_array(rotations, count)
-    given = list(images)  # held, so that no two have one id
-    identities = [str(image) if isinstance(image, str | Path) else id(image) for image in given]
+    identities = [str(image) if isinstance(image, str | Path) else id(image) for image in images]
     sources = []
     for _, numbers in groupby(range(count), identities.__getitem__):
         rows = list(numbers)
-        image = given[rows[0]]
+        image = images[rows[0]]
         sources.append(Source(image, name_of(image), array[rows], tuple(kinds[row] for row in rows), turned[rows]))
     return sources
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, detector_named
 from jaxfit.data.detectors.detector import holds, overlap
-from jaxfit.data.pictures import to_eight_bits, to_grey
+from jaxfit.data.pictures import Images, Pixels, require_several, to_eight_bits, to_grey
 from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fit import fit
@@ -59,7 +59,7 @@ class TrackedFrame:
 
     number: int
     seconds: float
-    picture: np.ndarray
+    picture: Pixels
     faces: Fits
     ids: np.ndarray
     ages: np.ndarray
@@ -68,7 +68,7 @@ class TrackedFrame:
 
 def track(
     model: Model,
-    frames: str | Path | int | Video | Iterable[np.ndarray],
+    frames: str | Path | int | Video | Images,
     *,
     detector: str | Detector = DEFAULT_DETECTOR,
     search: Search = Search(),
@@ -83,8 +83,8 @@ def track(
 
     Args:
         model: from ``jaxfit.load``.
-        frames: a video file, the number of a camera, a `jaxfit.Video`, or frames: uint8 arrays, (H, W) grey or
-            (H, W, 3) RGB.
+        frames: a video file, the number of a camera, a `jaxfit.Video`, or frames, in a list or a generator: arrays or
+            PIL images as in ``jaxfit.fit``.
         detector: as in `Tracker`, like the three below.
         search: how faces are looked for.
         redetect_every: in frames.
@@ -96,17 +96,15 @@ def track(
     """
     if not frame_rate > 0:
         raise InputError(f"expected a frame rate above 0 a second; got {frame_rate}")
-    if isinstance(frames, np.ndarray) and frames.ndim < 3:
-        raise InputError(f"expected several frames; got one array {frames.shape}: put it in a list")
+    if not isinstance(frames, str | Path | int | Video):
+        require_several(frames)
     tracker = Tracker(model, detector, search=search, redetect_every=redetect_every, smoothing=smoothing)
     # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
     opened = Video(frames) if isinstance(frames, str | Path | int) else frames
     return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
 
 
-def _tracked(
-    tracker: "Tracker", frames: Video | Iterable[np.ndarray], owned: bool, frame_rate: float
-) -> Iterator[TrackedFrame]:
+def _tracked(tracker: "Tracker", frames: Video | Images, owned: bool, frame_rate: float) -> Iterator[TrackedFrame]:
     with ExitStack() as stack:
         numbered: Iterable[VideoFrame]
         if isinstance(frames, Video):
@@ -223,16 +221,16 @@ class Tracker:
         """How many people there were until now: the ids are 1, 2, … ``people``."""
         return self._people
 
-    def without_faces(self, number: int, seconds: float, picture: np.ndarray) -> TrackedFrame:
+    def without_faces(self, number: int, seconds: float, picture: Pixels) -> TrackedFrame:
         """A frame in which nobody is seen."""
         nobody = np.empty(0, int)
         return TrackedFrame(number, seconds, picture, fit(self.model, [], []), nobody, nobody)
 
-    def update(self, frame: np.ndarray, seconds: float | None = None) -> TrackedFrame:
+    def update(self, frame: Pixels, seconds: float | None = None) -> TrackedFrame:
         """The next frame and its faces.
 
         Args:
-            frame: uint8 (H, W) grey or (H, W, 3) RGB.
+            frame: an array or a PIL image as in ``jaxfit.fit``.
             seconds: when it was taken; None is a thirtieth of a second after the frame before.
 
         Raises:

@@ -27,7 +27,7 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detectors.detector import overlap
-from jaxfit.data.pictures import GreyPictures
+from jaxfit.data.pictures import GreyPictures, to_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
@@ -272,7 +272,7 @@ def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: _Read, pr
         if not face.complete:
             continue
         try:
-            upright = read(face.image)
+            upright = to_grey(read(face.image))
         except ImageError:
             continue
         rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])

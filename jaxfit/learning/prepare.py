@@ -8,6 +8,7 @@ import numpy as np
 from jaxfit.cascade.greedy import Progress, TrainingSet
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.crops import Crops, cut
+from jaxfit.data.pictures import to_grey
 from jaxfit.errors import ImageError
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import FaceRecord
@@ -63,7 +64,7 @@ def cut_labelled(
     for number, face in enumerate(faces):
         progress("reading pictures", number, len(faces))
         try:
-            grey = read(face.image)
+            grey = to_grey(read(face.image))
         except ImageError as error:
             problems.append(str(error))
             continue

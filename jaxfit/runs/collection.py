@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
-from jaxfit.data.outputs import atomic_write, require_same_settings
+from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.fitting.stream import NO_FACE
 from jaxfit.models.files import BUNDLED, bundled, read_named
 from jaxfit.runs.workers import BatchFitter, plain
 
+_COMMAND = "jaxfit collect"
 _TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
 # Whatever its name says: unless it is 0, Ray listens on all of a Linux machine's addresses.
 _CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
@@ -75,9 +76,12 @@ def fit_collection(
     if str(fitter.model) not in bundled():
         fitter = replace(fitter, model=os.path.abspath(fitter.model))
     out = Path(out).absolute()
+    require_own_folder(out, _COMMAND)
     parts = out / "parts"
     parts.mkdir(parents=True, exist_ok=True)
-    require_same_settings(out / "settings.json", _settings(fitter))
+    settings = _settings(fitter)
+    require_same_settings(out / "settings.json", settings)
+    replace_results(out, _COMMAND, ["settings.json", "manifest.parquet"], settings)  # and the parts
     _sweep(parts)
     known = {account.image for account in _accounts(parts)}
     left = [name for name in wanted if plain(name) not in known]

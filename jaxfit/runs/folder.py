@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +20,14 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox, read_boxes
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
-from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
+from jaxfit.data.outputs import (
+    MANIFEST,
+    atomic_write,
+    replace_results,
+    require_own_folder,
+    require_same_settings,
+    write_csv,
+)
 from jaxfit.data.overlays import box_of, draw_name, draw_row
 from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
@@ -35,7 +43,13 @@ from jaxfit.schemes.scheme import Scheme
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
 _CHUNK = 256
-_UNFINISHED = ".unfinished"
+_UNFINISHED, _SETTINGS = ".unfinished", "settings.json"
+_COMMAND = "jaxfit fit"
+# What earlier versions wrote, without a manifest.
+_RESULTS = (
+    *("landmarks.csv", "heads.csv", "landmarks.parquet", "heads.parquet", "faces.jsonl", "keypoints.json"),
+    *("problems.csv", "doubtful.csv", "contact-sheet.jpg"),
+)
 _NO_ROW = "no row with this file name in the boxes"
 
 
@@ -58,7 +72,8 @@ class FolderRun:
         contact_sheet: write one picture of many faces, the doubtful first.
         min_confidence: write faces whose confidence is lower to ``doubtful.csv`` instead of the other tables; None
             writes all to the tables, whose column ``ok`` says which are rather good than not.
-        overwrite: begin anew where an unfinished run is in the way.
+        overwrite: begin anew where an unfinished run is in the way, or results of another command or of nobody's
+            manifest, which are then replaced.
     """
 
     out: str | Path
@@ -133,6 +148,9 @@ def fit_folder(
 ) -> FolderReport:
     """Fit pictures into a folder of results: tables and other formats, overlays, and ``problems.csv``.
 
+    The folder is the run's own: ``manifest.json`` says what was written, by what and when, and files of an earlier run
+    that this one does not write are removed.
+
     Pictures are done in chunks that are kept in ``.unfinished``, each as a whole or not at all: a run that was stopped
     goes on when it is started again with the same settings and pictures, and gives the same files.
 
@@ -142,7 +160,8 @@ def fit_folder(
         progress: called with the stage's name, pictures done and pictures in all.
 
     Raises:
-        InputError: a setting is wrong, the folder holds an unfinished run of other settings, or cannot be written to.
+        InputError: a setting is wrong, the folder holds an unfinished run of other settings, results of another command
+            or of nobody's manifest, or cannot be written to.
         ModelError: no such model.
     """
     out = Path(run.out)
@@ -153,9 +172,11 @@ def fit_folder(
     unfinished = out / _UNFINISHED
     if run.overwrite:
         shutil.rmtree(unfinished, ignore_errors=True)
+    else:
+        _require_own(out)
     _make_folder(unfinished)
     try:
-        require_same_settings(unfinished / "settings.json", run.settings(files))
+        require_same_settings(unfinished / _SETTINGS, run.settings(files))
     except InputError as error:
         raise InputError(f"{error}, or overwrite to begin anew") from None
     chunks = _Chunks(unfinished)
@@ -176,11 +197,47 @@ def fit_folder(
         problems += starmap(Unfit, write_contact_sheet(out / "contact-sheet.jpg", fitted))
         written.append("contact-sheet.jpg")
     ok = Counter(row["ok"] for row in fitted)
-    shutil.rmtree(unfinished)
     written += ["problems.csv", *(["overlays"] if run.overlays else [])]
+    others = _unaccounted(out) if run.overwrite else []
+    replace_results(out, _COMMAND, _files(out, written), run.settings(files), others)
+    written.append(MANIFEST)
+    shutil.rmtree(unfinished)
     unused = sorted(set(boxes or ()) - {path.name for path in files})
     paths = tuple(out / name for name in written)
     return FolderReport(len(files), resumed, ok.total(), ok[False], tuple(problems), tuple(unused), paths)
+
+
+def _require_own(out: Path) -> None:
+    """Check that a folder holds no results but those of earlier runs like this one.
+
+    Raises:
+        InputError: it holds others, or such as no manifest accounts for.
+    """
+    try:
+        require_own_folder(out, _COMMAND)
+    except InputError as error:
+        raise InputError(f"{error}, or overwrite to replace them") from None
+    if not (out / _UNFINISHED).exists() and not (out / MANIFEST).exists() and (strange := _unaccounted(out)):
+        raise InputError(
+            f"{out} holds {strange[0]}, which no {MANIFEST} accounts for, as of an earlier version; use another --out, "
+            "or overwrite to replace such results"
+        )
+
+
+def _unaccounted(out: Path) -> list[str]:
+    """Files in a folder that are called like results."""
+    return [name for name in _RESULTS if (out / name).is_file()]
+
+
+def _files(out: Path, written: Sequence[str]) -> Iterator[str]:
+    """The files that this run wrote; in folders, those that are not older than its beginning."""
+    begun = (out / _UNFINISHED / _SETTINGS).stat().st_mtime_ns
+    for name in written:
+        if (out / name).is_dir():
+            with os.scandir(out / name) as entries:
+                yield from (f"{name}/{entry.name}" for entry in entries if entry.stat().st_mtime_ns >= begun)
+        else:
+            yield name
 
 
 _Boxes = Mapping[str, Sequence[GivenBox]]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
-from jaxfit.data.pictures import NAMELESS
+from jaxfit.data.pictures import NAMELESS, kind_of
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
@@ -89,11 +89,31 @@ def _pictures(batch: Any) -> tuple[list[str], list[Path | bytes]]:
     """What the pictures of a batch are called in tables, and their files or what is in those."""
     if not ("image" in batch or "path" in batch):
         raise InputError(f"expected a column of files, image or path; got {', '.join(map(str, batch)) or 'no column'}")
-    given = [str(name) for name in batch["image" if "image" in batch else "path"]]
+    column = "image" if "image" in batch else "path"
+    given = [_file(column, name) for name in batch[column]]
     names = list(map(plain, given))
     if "bytes" not in batch:
         return names, [Path(name) for name in given]
-    return names, [b"" if data is None else bytes(data) for data in batch["bytes"]]
+    return names, [_bytes(data) for data in batch["bytes"]]
+
+
+def _file(column: str, name: Any) -> str:
+    """The name of a file in a column, or of other bytes."""
+    name = name.as_py() if hasattr(name, "as_py") else name  # Arrow's
+    if isinstance(name, str | os.PathLike | int | float | None):
+        return str(name)
+    raise InputError(
+        f"expected names of files in the column {column}; got {kind_of(name)}: give files, or what is in them in a "
+        "column bytes (of Ray, read_binary_files instead of read_images); jaxfit.fit takes arrays"
+    )
+
+
+def _bytes(data: Any) -> bytes:
+    """What is in a file, of a column."""
+    data = data.as_py() if hasattr(data, "as_py") else data
+    if isinstance(data, bytes | bytearray | memoryview | None):
+        return bytes(data or b"")
+    raise InputError(f"expected what is in the pictures' files in the column bytes; got {kind_of(data)}")
 
 
 def plain(name: str) -> str:

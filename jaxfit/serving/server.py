@@ -28,7 +28,7 @@ from jaxfit.serving.service import Closed, Service
 
 HOST = "127.0.0.1"
 MOST_BYTES = 20_000_000  # of a picture's file
-TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp")
+TYPES = ("image/jpeg", "image/png", "image/webp", "image/bmp", "image/heic", "image/heif")
 _CONNECTIONS = 32  # at once; browsers open six
 _PICTURES = 4  # being sent, waiting for their turn or being fitted
 _LINGER = 1.0  # seconds that a client who is refused while it sends is given to stop

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from jaxfit.data.detectors import Detector
-from jaxfit.data.headers import stored_size
+from jaxfit.data.headers import is_heic, stored_size
 from jaxfit.data.overlays import outline_of, solid_points
-from jaxfit.data.pictures import decode_image
+from jaxfit.data.pictures import decode_image, require_heif
 from jaxfit.data.rows import Row, rounded
 from jaxfit.errors import ImageError, InputError, JaxfitError
 from jaxfit.fitting.fit import fit, passes_from, warm_up
@@ -62,7 +62,7 @@ class Service:
         """The faces in a picture.
 
         Args:
-            data: the bytes of a JPEG, PNG, WebP or BMP file.
+            data: the bytes of a JPEG, PNG, WebP or BMP file; or of a HEIC file, with ``jaxfit[heif]``.
             model: the name of one of the models.
             detector: the name of one of the detectors.
 
@@ -77,9 +77,11 @@ class Service:
             Closed: the service was closed before it came to this picture.
         """
         chosen, finder = _named("model", self._models, model), _named("detector", self._detectors, detector)
+        if is_heic(data):
+            require_heif()
         size = stored_size(data)
         if size is None:
-            raise ImageError("the picture: not a JPEG, PNG, WebP or BMP file")
+            raise ImageError("the picture: not a JPEG, PNG, WebP, BMP or HEIC file, or damaged")
         if size[0] * size[1] > MOST_PIXELS:
             most = MOST_PIXELS // 1_000_000
             raise ImageError(f"the picture: {size[0]} x {size[1]} pixels; expected at most {most} million")

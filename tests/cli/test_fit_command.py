@@ -28,7 +28,7 @@ def test_one_run_from_the_options_to_the_results(
     fit = ["fit", str(pictures), "--recursive", "--model", str(drawn_model), "--boxes", str(boxes), "--out", str(out)]
     assert main([*fit, "--format", "csv", "parquet", "--contact-sheet", "--starts", "3"]) == 0
     assert [Path(row["image"]).name for row in read_csv(out / "landmarks.csv")] == ["a.png", "c.png"]
-    names = ["landmarks.csv", "landmarks.parquet", "contact-sheet.jpg", "problems.csv", "overlays"]
+    names = ["landmarks.csv", "landmarks.parquet", "contact-sheet.jpg", "problems.csv", "overlays", "manifest.json"]
     assert {path.name for path in out.iterdir()} == {*names}
     printed = capsys.readouterr()
     assert f"pictures: 4, faces fitted: 2, model: {drawn_model}\n" in printed.out

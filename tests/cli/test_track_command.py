@@ -59,7 +59,7 @@ def test_faces_and_overlay_are_written(
     np.testing.assert_allclose(xs, [face.landmarks[0, :, 0] for face in faces], atol=1e-3)
     widths = np.array([float(row["width"]) for row in rows])
     np.testing.assert_allclose(widths, [face.boxes[0, 2] for face in faces], atol=1e-3)
-    with Video(tmp_path / "out" / "overlay.mp4") as overlay:
+    with Video(tmp_path / "out" / "overlay.webm") as overlay:
         pictures = [frame.picture for frame in overlay]
     assert len(pictures) == 10
     cyan = (pictures[5][..., 1].astype(int) - pictures[5][..., 0]) > 60
@@ -74,7 +74,7 @@ def test_smooth_smooths(film: Path, drawn_model: Path, tmp_path: Path) -> None:
         assert main(["track", str(film), *arguments]) == 0
         xs = np.array([float(row["x1"]) for row in read_csv(tmp_path / name / "faces.csv")])
         shaken.append(np.abs(np.diff(xs, 2)).mean())
-        assert not (tmp_path / name / "overlay.mp4").exists()
+        assert not (tmp_path / name / "overlay.webm").exists()
     assert shaken[1] < 0.9 * shaken[0]
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import Detection, Search, best_match, detect_faces
+from jaxfit.data.detectors import Detection, Search, best_match, detect_faces, detector_named
 from jaxfit.data.detectors.detector import AnyRotation, merged, turned_back
 from jaxfit.data.pictures import read_image, to_grey
-from jaxfit.errors import InputError
+from jaxfit.errors import ImageError, InputError
 
 TRUTH = np.array([100.0, 100.0, 50.0, 50.0])
 
@@ -45,6 +45,25 @@ def test_the_best_match_overlaps_most():
 @pytest.mark.parametrize("shape", [(1, 1), (1, 500), (500, 1), (30, 40), (300, 1000)])
 def test_empty_pictures_have_no_faces(shape, name):
     assert detect_faces(np.full(shape, 128, np.uint8), name) == []
+
+
+@pytest.mark.parametrize("any_rotation", [False, True])
+@pytest.mark.parametrize("name", ["yunet", "haar", "whole"])
+def test_detectors_take_what_fit_takes_and_refuse_the_rest(name, any_rotation):
+    detector = detector_named(name, Search(any_rotation=any_rotation))
+    picture = np.full((60, 80, 3), 90, np.uint8)
+    seen = detector(picture)
+    for same in (
+        picture.astype(np.uint16) * 257,
+        picture[::-1],
+        picture[..., :1],
+        np.dstack([picture, picture[..., 0]]),
+    ):
+        assert [tuple(face.box) for face in detector(same)] == [tuple(face.box) for face in seen]
+    for wrong in (picture / 255, None, "a.jpg"):
+        for look in (detector, lambda image: detect_faces(image, detector)):
+            with pytest.raises(ImageError, match="expected"):
+                look(wrong)
 
 
 @pytest.mark.parametrize("bad", [{"smallest": 3.0}, {"smallest": np.nan}, {"score": 1.5}, {"score": -0.1}], ids=str)

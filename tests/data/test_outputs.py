@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-from jaxfit.data.outputs import atomic_write, write_csv
+from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, write_csv
 from jaxfit.errors import InputError
 
 
@@ -63,3 +63,17 @@ def test_only_files_in_existing_folders_are_written(tmp_path):
 def test_csv_quotes_what_needs_it(tmp_path):
     write_csv(tmp_path / "t.csv", ["a", "b"], [["x,y", 1.5], ['"', None]])
     assert (tmp_path / "t.csv").read_bytes() == b'a,b\n"x,y",1.5\n"""",\n'
+
+
+def test_a_folder_belongs_to_the_command_that_wrote_to_it(tmp_path):
+    require_own_folder(tmp_path / "new", "jaxfit track")
+    for written in (["a.csv", "films/b.webm"], ["a.csv"]):
+        (tmp_path / "films").mkdir(exist_ok=True)
+        for name in written:
+            (tmp_path / name).write_text("result")
+        require_own_folder(tmp_path, "jaxfit track")
+        replace_results(tmp_path, "jaxfit track", written, {})
+        assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")} == {*written, "manifest.json"}
+    assert not (tmp_path / "films").exists()
+    with pytest.raises(InputError, match=r"holds results of `jaxfit track` of 20.*use another --out"):
+        require_own_folder(tmp_path, "jaxfit evaluate")

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from jaxfit.data.overlays import draw_head, draw_landmarks
-from jaxfit.errors import InputError
+from jaxfit.errors import ImageError, InputError
 from jaxfit.schemes.known import AFLW21, IBUG68
 from jaxfit.schemes.scheme import Scheme
 
@@ -221,3 +221,12 @@ def test_heads_must_fit_the_scheme_and_have_a_pose():
         draw_head(black(), np.zeros((68, 2)), np.zeros(3), IBUG68)
     with pytest.raises(InputError, match=r"pose.*\(2,\)"):
         draw_head(black(), np.zeros((68, 3)), np.zeros(2), IBUG68)
+
+
+def test_overlays_are_drawn_over_any_picture_and_nothing_else():
+    drawn = draw_landmarks(black(), np.full((DOTS.count, 2), 9.0), DOTS)
+    alpha = np.dstack([black(), black()[..., :1]])
+    for same in (alpha, black().astype(np.uint16), black()[..., 0], np.asfortranarray(black())):
+        np.testing.assert_array_equal(draw_landmarks(same, np.full((DOTS.count, 2), 9.0), DOTS), drawn)
+    with pytest.raises(ImageError, match="white is 1"):
+        draw_landmarks(black() / 255, np.full((DOTS.count, 2), 9.0), DOTS)

@@ -1,5 +1,8 @@
 """Pictures from files: every kind that cameras and editors write, and every way to be broken."""
 
+import errno
+import io
+import os
 import re
 import struct
 from pathlib import Path
@@ -9,7 +12,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from jax import numpy as jnp
 
+from jaxfit.data import pictures
+from jaxfit.data.headers import stored_size
 from jaxfit.data.pictures import (
     GreyPictures,
     decode_image,
@@ -17,6 +23,8 @@ from jaxfit.data.pictures import (
     read_grey,
     read_image,
     read_upright,
+    several,
+    to_eight_bits,
     to_grey,
     write_image,
 )
@@ -157,13 +165,31 @@ def test_what_follows_a_jpeg_does_not_matter(tmp_path, rgb):
     [
         (b"", "empty"),
         (b"x" * 1000, "not a picture"),
-        (b"\x00\x00\x00\x18ftypheic" + b"\x00" * 100, "HEIC pictures are not supported; convert it to JPEG"),
         (b"\xff\xd8", "truncated"),
     ],
 )
 def test_files_that_are_no_pictures(tmp_path, data, reason):
     with pytest.raises(ImageError, match=rf"picture: .*{reason}"):
         read_bytes(tmp_path, data)
+
+
+def test_heic_is_read_or_says_what_reads_it(tmp_path, rgb, monkeypatch):
+    data = b"\x00\x00\x00\x18ftypheic" + b"\x00" * 100
+    with monkeypatch.context() as patch:
+        patch.setattr(pictures, "find_spec", lambda name: None)
+        with pytest.raises(ImageError, match=r'picture: HEIC .*pip install "jaxfit\[heif\]", or convert it to JPEG'):
+            read_bytes(tmp_path, data)
+    pil, heif = pytest.importorskip("PIL.Image"), pytest.importorskip("pillow_heif")
+    file = io.BytesIO()
+    heif.from_pillow(pil.fromarray(rgb)).save(file, quality=95)
+    for read in (read_image, lambda path: np.dstack([read_upright(path)] * 3)):
+        (tmp_path / "a.heic").write_bytes(file.getvalue())
+        seen = read(tmp_path / "a.heic").astype(int)
+        assert np.abs(seen - (rgb if read is read_image else to_grey(rgb)[..., None])).mean() < 4
+    assert stored_size(file.getvalue()) == (64, 64)  # which codes 64 x 48
+    for wrong in (data, file.getvalue()[:-100]):
+        with pytest.raises(ImageError, match="picture: cannot be decoded"):
+            read_bytes(tmp_path, wrong)
 
 
 def test_pictures_in_memory_are_like_those_in_files(tmp_path, rgb):
@@ -231,6 +257,89 @@ def test_other_arrays_are_no_pictures(image):
         to_grey(image)
 
 
+@pytest.mark.parametrize(
+    ("image", "advice"),
+    [
+        (np.linspace(0, 1, 48).reshape(4, 4, 3), "from 0 to 1, .*(255 * image).round().astype(numpy.uint8)"),
+        (np.linspace(0, 254, 48, dtype=np.float32).reshape(4, 4, 3), "give image.round().astype(numpy.uint8)"),
+        (np.linspace(-1, 1, 16).reshape(4, 4), "from -1 to 1, .*give uint8 values"),
+        (np.full((4, 4), np.nan), "got float64 (4, 4)"),
+        (np.zeros((4, 4), np.int64), "image.astype(numpy.uint8)"),
+        (np.zeros((4, 4), bool), "255 * image.astype(numpy.uint8)"),
+        (np.zeros((3, 40, 50), np.uint8), "numpy.moveaxis(image, 0, -1)"),
+        (np.full((4, 4), 255, np.uint16), "its largest value is 255"),
+        (np.full((4, 4), 4095, np.uint16), "its largest value is 4095"),
+        (None, "got NoneType"),
+        ([[1, 2], [3, 4]], "got list"),
+        ("a.jpg", "got str; read files with jaxfit.read_image"),
+        (Path("a.jpg"), "read files with jaxfit.read_image"),
+        (type("Tensor", (), {"__module__": "torch"})(), "got torch.Tensor; .*tensor.cpu().numpy()"),
+    ],
+)
+def test_the_refusal_of_what_is_no_picture_says_what_to_do(image, advice):
+    with pytest.raises(ImageError, match=re.escape(advice).replace(re.escape(".*"), ".*")):
+        to_eight_bits(image)
+
+
+@given(st.integers(1, 9), st.integers(1, 9))
+def test_arrays_of_any_layout_are_taken(height, width):
+    rgb = np.random.default_rng(height * 10 + width).integers(0, 256, (height, width, 3), np.uint8)
+    deep = rgb.astype(np.uint16) * 257
+    deep.flat[0], rgb.flat[0] = 65535, 255
+    for same in (np.asfortranarray(rgb), rgb[::-1][::-1], deep, deep.astype(">u2"), jnp.asarray(rgb)):
+        picture = to_eight_bits(same)
+        np.testing.assert_array_equal(picture, rgb)
+        assert picture.flags.c_contiguous
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "LA", "1", "P", "PA", "CMYK", "YCbCr", "HSV", "I;16"])
+def test_images_of_pil_are_seen_as_pil_shows_them(rgb, mode):
+    pil = pytest.importorskip("PIL.Image")
+    if mode == "I;16":
+        deep = rgb[..., 0].astype(np.uint16) * 257
+        np.testing.assert_array_equal(to_eight_bits(pil.fromarray(deep)), rgb[..., 0])
+        return
+    image = pil.fromarray(rgb)
+    image = image.convert("P").convert("PA") if mode == "PA" else image.convert(mode)
+    expected = np.asarray(image.convert("RGBA").convert("RGB") if "P" in mode else image.convert("RGB"))
+    seen = to_eight_bits(image)
+    np.testing.assert_array_equal(seen if seen.ndim == 3 else np.dstack([seen] * 3), expected)
+    if mode in ("RGB", "RGBA", "CMYK"):
+        np.testing.assert_array_equal(seen, rgb)
+
+
+def test_images_of_pil_that_would_be_seen_wrong_are_refused(tmp_path, rgb):
+    pil, ops = pytest.importorskip("PIL.Image"), pytest.importorskip("PIL.ImageOps")
+    (tmp_path / "turned.jpg").write_bytes(oriented(encoded(rgb), 6))
+    turned, torn = (pil.open(io.BytesIO(data)) for data in (oriented(encoded(rgb), 6), encoded(rgb)[:-200]))
+    with pytest.raises(ImageError, match=r"orientation 6.*exif_transpose"):
+        to_eight_bits(turned)
+    away = to_eight_bits(ops.exif_transpose(turned)).astype(int) - read_image(tmp_path / "turned.jpg")
+    assert np.abs(away).max() <= 8  # two decoders
+    for image in (torn, pil.new("F", (4, 4)), pil.new("I", (4, 4)), pil.new("RGB", (0, 4))):
+        with pytest.raises(ImageError):
+            to_eight_bits(image)
+
+
+def test_pictures_come_in_anything_that_has_an_order(rgb):
+    tensor = type("Tensor", (), {"__module__": "torch", "shape": (2, 3, 4, 4), "__iter__": lambda self: iter([])})
+    for images in ([rgb, rgb], (rgb, rgb), iter([rgb, rgb]), (rgb for _ in range(2)), np.stack([rgb, rgb])):
+        assert [image.shape for image in several(images)] == [rgb.shape] * 2
+    assert several(map(str, [1])) == ["1"]
+    assert several([Path("a"), bytearray(b"b")]) == [Path("a"), b"b"]
+    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), rgb, jnp.asarray(rgb), "a.jpg", Path("a.jpg"), b"a"):
+        with pytest.raises(InputError, match="expected a sequence of images"):
+            several(wrong)
+    with pytest.raises(InputError, match=r"got torch\.Tensor"):
+        several(tensor())
+
+
+def test_only_pictures_are_written(tmp_path, rgb):
+    with pytest.raises(ImageError, match="white is 1"):
+        write_image(tmp_path / "a.png", rgb / 255)
+    assert not list(tmp_path.iterdir())
+
+
 def test_pictures_are_found_in_files_and_folders(tmp_path):
     folder = tmp_path / "folder"
     (folder / "deeper.jpg").mkdir(parents=True)
@@ -239,6 +348,71 @@ def test_pictures_are_found_in_files_and_folders(tmp_path):
     (tmp_path / "odd.name").touch()
     found = find_images([tmp_path / "odd.name", str(folder), folder / "a.png"])
     assert [path.name for path in found] == ["odd.name", "a.png", "b.JPG", "c.heic"]
+
+
+def test_what_looks_like_a_picture_is_found_whatever_its_name(tmp_path, rgb):
+    kinds = (".jpg", ".png", ".bmp", ".tif", ".webp", ".gif", ".avif", ".jp2", ".ppm")
+    names = {f"{kind[1:]}{ending}" for kind in kinds for ending in ("", ".part", kind)}
+    for name in names:
+        (tmp_path / name).write_bytes(encoded(rgb, f".{name.split('.')[0]}"))
+    (tmp_path / "a.jfif").write_bytes(encoded(rgb))
+    begun = {
+        "raw.dng": b"II*\0",
+        "new": b"\0\0\0\x0cJXL \r\n",
+        "phone": b"\0\0\0\x18ftypmif1\0\0\0\0heic",
+        "torn": b"\xff\xd8\xff",
+    }
+    others = {
+        "a.csv": b"BMI,1",
+        "b.txt": b"P5 is a letter and a digit",
+        "c.mp4": b"\0\0\0\x18ftypisom",
+        "d": b"",
+        "e.pts": b"version: 1",
+    }
+    for name, data in (begun | others).items():
+        (tmp_path / name).write_bytes(data)
+    (tmp_path / "gone.gif").symlink_to(tmp_path / "nothing")
+    os.mkfifo(tmp_path / "pipe.jpg")
+    found = find_images([tmp_path])
+    assert {path.name for path in found} == {*names, "a.jfif", *begun, "gone.gif"}
+    for path in found:
+        if path.name in {*begun, "gone.gif"}:
+            with pytest.raises(ImageError, match=re.escape(path.name)):
+                read_image(path)
+        else:
+            assert read_image(path).shape == rgb.shape
+
+
+def test_folders_that_cannot_be_read_are_said(tmp_path, rgb, monkeypatch):
+    for folder in ("open", "open/closed", "open/deep"):
+        (tmp_path / folder).mkdir()
+        write_image(tmp_path / folder / "a.png", rgb)
+    (tmp_path / "open" / "link").symlink_to(tmp_path / "open")  # in a circle
+    (tmp_path / "elsewhere").mkdir()
+    write_image(tmp_path / "elsewhere" / "b.png", rgb)
+    (tmp_path / "open" / "other").symlink_to(tmp_path / "elsewhere")
+    scandir = os.scandir
+
+    def closed(path):  # modes do not bind root
+        if Path(path).name == "closed":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", closed)
+    found = find_images([tmp_path / "open"], recursive=True)
+    assert {str(path.relative_to(tmp_path / "open")) for path in found} == {
+        "a.png",
+        "closed",
+        "deep/a.png",
+        "other/b.png",
+    }
+    with pytest.raises(ImageError, match=r"closed: cannot be read \(Permission denied\)"):
+        read_image(tmp_path / "open" / "closed")
+    with pytest.raises(InputError, match=r"closed: the folder cannot be read \(Permission denied\)"):
+        find_images([tmp_path / "open" / "closed"])
+    (tmp_path / "outer" / "inner").mkdir(parents=True)
+    with pytest.raises(InputError, match=r"no pictures in .*--recursive"):
+        find_images([tmp_path / "outer"])
 
 
 def test_what_is_not_there_is_refused(tmp_path):

@@ -1,5 +1,7 @@
 """Crops are the same whether pictures come as files or arrays, and what cannot be cut is said of its face."""
 
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -137,3 +139,13 @@ def test_reading_in_threads_leaves_opencvs_log_as_it_was(files: list[Path]) -> N
     for thread in threads:
         thread.join()
     assert cv2.utils.logging.getLogLevel() == before
+
+
+def test_the_functions_inside_take_crops_of_uint8_only() -> None:
+    """In a process of its own: here, types are checked before anything is called."""
+    code = """import jaxfit, numpy
+cascade = jaxfit.load("fast68").cascade
+try: jaxfit.cascade.fit_crops(cascade, numpy.zeros((1, cascade.frame.crop, cascade.frame.crop), numpy.float32))
+except jaxfit.InputError as error: print(error)"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "expected uint8 crops, as jaxfit.crop_faces cuts them; got float32\n"

@@ -1,5 +1,6 @@
 """The stream: pictures are decoded once, groups keep apart and in order, little is in memory, and it can be stopped."""
 
+import re
 import threading
 import time
 import weakref
@@ -183,7 +184,7 @@ def test_no_batch_has_faces_of_two_groups(model: Model, monkeypatch: pytest.Monk
         ("torn.jpg", [BOX], "the file is truncated"),
         ("empty.png", [BOX], "the file is empty"),
         ("words.png", [BOX], "not a picture, damaged"),
-        ("photo.heic", [BOX], "HEIC pictures are not supported"),
+        ("photo.heic", [BOX], "HEIC pictures need pillow-heif"),
         ("none.png", [BOX], "cannot be read (No such file"),
         (b"", [BOX], "the picture: the file is empty"),
         (PICTURE / 255, [BOX], "got float64"),
@@ -392,6 +393,41 @@ def test_starts_and_passes_reach_the_computation(model: Model, monkeypatch: pyte
 def test_pipelines_that_cannot_be_are_refused(model: Model, wrong: dict[str, Any], words: str) -> None:
     with pytest.raises(jaxfit.InputError, match=words):
         Pipeline(model, **wrong)
+
+
+def test_what_python_users_hand_over_is_taken_or_refused_wherever_pictures_are(model: Model) -> None:
+    pil = pytest.importorskip("PIL.Image")
+    rgb = np.dstack([PICTURE] * 3)
+    tensor = type("Tensor", (), {"__module__": "torch"})()
+    good = [PICTURE, PICTURE.astype(np.uint16) * 257, np.asfortranarray(rgb), jnp.asarray(rgb), pil.fromarray(rgb)]
+    bad = [rgb / 255, tensor, None]
+    words = ["white is 1", r"torch\.Tensor", "NoneType"]
+    boxes = np.tile(BOX, (len(good) + len(bad), 1))
+    one = jaxfit.fit(model, [PICTURE], [BOX]).landmarks[0]
+
+    def read(path: Path) -> Any:
+        return [*good, *bad][int(path.stem)]
+
+    files = [Path(str(number)) for number in range(len(boxes))]
+    for fits in (
+        jaxfit.fit(model, (image for image in [*good, *bad]), boxes),
+        jaxfit.fit(model, map(str, files), boxes, read=read),
+    ):
+        np.testing.assert_allclose(fits.landmarks[: len(good)], np.stack([one] * len(good)), atol=1e-3)
+        assert [problem.picture for problem in fits.problems] == [5, 6, 7]
+        for problem, expected in zip(fits.problems, words, strict=True):
+            assert re.search(expected, problem.why)
+    crops, problems = jaxfit.crop_faces(model, iter([*good, *bad]), boxes)
+    assert (crops.pixels[: len(good)] == crops.pixels[0]).all()
+    assert [problem.row for problem in problems] == [5, 6, 7]
+    assert [problem.picture for problem in find_faces(iter([*good, *bad]), Corners()).problems][-3:] == [5, 6, 7]
+    frames = list(jaxfit.track(model, iter([*good, *bad]), detector=Corners()))
+    assert [bool(frame.problem) for frame in frames] == [False] * 5 + [True] * 3
+    for several in (tensor, pil.fromarray(rgb), rgb, 5.0):
+        with pytest.raises(jaxfit.InputError, match="a sequence of images"):
+            jaxfit.track(model, several)
+        with pytest.raises(jaxfit.InputError, match="a sequence of images"):
+            jaxfit.fit(model, several, boxes)
 
 
 def test_problems_name_their_picture() -> None:

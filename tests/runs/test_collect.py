@@ -133,6 +133,14 @@ def test_nonsense_is_refused_before_any_work(fitter: BatchFitter, tmp_path: Path
         BatchFitter("face69")
     with pytest.raises(InputError, match="image or path; got bytes"):
         fitter({"bytes": [b""]})
+    picture = np.zeros((4, 4, 3), np.uint8)
+    for batch, words in (
+        ({"image": [picture]}, "names of files in the column image; got numpy.ndarray"),
+        ({"image": ["a.jpg"], "bytes": [picture]}, "in the column bytes; got numpy.ndarray"),
+        ({"image": ["a.jpg"], "bytes": [5]}, "got int"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fitter(batch)
     numbers: tuple[dict[str, Any], ...] = ({"part": 0}, {"workers": 0}, {"gpus": -1.0})
     for wrong in numbers:
         with pytest.raises(InputError, match="expected at least"):

@@ -95,9 +95,9 @@ def test_every_format_is_written_and_nothing_else(whole: tuple[FolderReport, Pat
     assert {path.name for path in out.iterdir()} == {path.name for path in report.written}
     assert {path.name for path in report.written} == {
         *("landmarks.csv", "problems.csv", "faces.jsonl", "keypoints.json", "landmarks.parquet"),
-        *("contact-sheet.jpg", "pts", "overlays"),
+        *("contact-sheet.jpg", "pts", "overlays", "manifest.json"),
     }
-    assert len(report.written) == 8
+    assert len(report.written) == 9
 
 
 def test_tables_pts_files_and_overlays_show_the_faces(whole: tuple[FolderReport, Path], drawn: Path) -> None:
@@ -255,7 +255,7 @@ def _fit_until(run: FolderRun, pictures: list[Path], chunk: int) -> None:
 
 def _assert_same_results(out: Path, whole: Path) -> None:
     """All that a run of the usual formats writes is what a run that was not stopped has written, byte for byte."""
-    files = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
+    files = [path.relative_to(out) for path in out.rglob("*") if path.is_file() and path.name != "manifest.json"]
     assert {path.parts[0] for path in files} == {"landmarks.csv", "problems.csv", "pts", "overlays"}
     for file in files:
         assert (out / file).read_bytes() == (whole / file).read_bytes(), file
@@ -284,6 +284,43 @@ def test_a_stopped_run_goes_on_where_it_was(
     _assert_same_results(out, whole[1])
     # A run that is finished is done anew.
     assert fit_folder(replace(run, overlays=False), pictures).resumed == 0
+
+
+def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: Path) -> None:
+    """What a run before wrote goes, what others wrote stays, and what nobody accounts for is refused."""
+    out = Path(run.out)
+    first = replace(run, formats=("csv", "pts", "jsonl"), contact_sheet=True)
+    fit_folder(first, pictures[:3])
+    (out / "heads.csv").write_text("of a 3D model")
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert (manifest["command"], manifest["jaxfit"]) == ("jaxfit fit", jaxfit.__version__)
+    assert manifest["when"].startswith("20")
+    there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert {*manifest["files"], "manifest.json", "heads.csv"} == there
+    manifest["files"] += ["heads.csv", "../kept.csv", str(tmp_path / "kept.csv")]
+    (out / "manifest.json").write_text(json.dumps(manifest))
+    for kept in (tmp_path / "kept.csv", out / "pts" / "mine.pts", out / "notes.txt"):
+        kept.write_text("mine")
+    fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2])
+    there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+    assert there == {"landmarks.csv", "problems.csv", "manifest.json", "pts/mine.pts", "notes.txt"}
+    assert (tmp_path / "kept.csv").exists()
+    for account, words in (
+        (manifest | {"command": "jaxfit track"}, "holds results of `jaxfit track`.*overwrite"),
+        ([], "expected the manifest"),
+        (None, r"holds landmarks.csv, which no manifest.json accounts for.*overwrite"),
+    ):
+        if account is None:
+            (out / "manifest.json").unlink()
+        else:
+            (out / "manifest.json").write_text(json.dumps(account))
+        with pytest.raises(InputError, match=words):
+            fit_folder(run, pictures[:1])
+        assert not (out / ".unfinished").exists()
+    (out / "heads.csv").write_text("of a 3D model")
+    (out / "manifest.json").write_text("damaged")
+    fit_folder(replace(run, overwrite=True), pictures[:1])
+    assert not (out / "heads.csv").exists()
 
 
 def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> None:

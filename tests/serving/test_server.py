@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -141,6 +142,14 @@ def test_pictures_of_all_types(server: Server, suffix: str) -> None:
     kind = {".jpg": "jpeg"}.get(suffix, suffix[1:])
     status, answer, _ = ask(server, "POST", FIT, encoded(suffix), Content_Type=f"image/{kind}")
     assert (status, answer["width"], answer["height"], len(answer["faces"])) == (200, 80, 90, 1)
+
+
+@pytest.mark.skipif(find_spec("pillow_heif") is not None, reason="HEIC can be read here")
+def test_heic_says_what_reads_it(server: Server) -> None:
+    heic = b"\0\0\0\x18ftypheic" + bytes(100)
+    status, answer, _ = ask(server, "POST", FIT, heic, Content_Type="image/heic")
+    assert status == 422
+    assert 'pip install "jaxfit[heif]"' in answer["error"]
 
 
 def test_a_picture_without_a_face_is_no_error(server: Server) -> None:

@@ -2,13 +2,12 @@
 
 from collections.abc import Callable
 
-import numpy as np
-
 from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, Search, best_match
 from jaxfit.data.detectors.dlib_hog import DlibHog
 from jaxfit.data.detectors.haar import Haar
 from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.detectors.yunet import YuNet
+from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.errors import InputError
 
 __all__ = [
@@ -57,12 +56,12 @@ def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> D
 
 
 def detect_faces(
-    image: np.ndarray, detector: str | Detector = DEFAULT_DETECTOR, search: Search = Search()
+    image: Pixels, detector: str | Detector = DEFAULT_DETECTOR, search: Search = Search()
 ) -> list[Detection]:
     """The faces in a picture, largest first; empty if none is found.
 
     Args:
-        image: uint8 (H, W) grey or (H, W, 3) RGB.
+        image: an array or a PIL image, as in ``jaxfit.fit``.
         detector: ``"yunet"``, a small network that finds faces of any pose and comes with the package; ``"haar"``,
             OpenCV's cascades; ``"dlib"``, dlib's; ``"whole"`` takes the whole picture for a face. Or one of your own,
             as ``Detector`` asks for.
@@ -70,5 +69,6 @@ def detect_faces(
 
     Raises:
         InputError: as `detector_named`.
+        ImageError: the image is none of these.
     """
-    return (detector_named(detector, search) if isinstance(detector, str) else detector)(image)
+    return (detector_named(detector, search) if isinstance(detector, str) else detector)(to_eight_bits(image))

@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from jaxfit.data.boxes import box_centre
+from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.errors import InputError
 
 _SMALLEST = 24.0  # pixels of the smallest faces that are looked for by default,
@@ -112,9 +113,9 @@ class AnyRotation:
         """As the detector's."""
         return self.detector.rough
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
+    def __call__(self, image: Pixels) -> list[Detection]:
         """The faces in a picture, turned to any side, largest first."""
-        found = []
+        image, found = to_eight_bits(image), []
         for quarters in range(4):
             turned = np.ascontiguousarray(np.rot90(image, quarters))  # counter-clockwise
             found += [turned_back(face, quarters, image.shape) for face in self.detector(turned)]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from jaxfit.data.detectors.detector import Detection, Search, largest_first
-from jaxfit.data.pictures import to_grey
+from jaxfit.data.pictures import Pixels, to_grey
 from jaxfit.errors import InputError
 
 KIND = "dlib"
@@ -54,8 +54,8 @@ class DlibHog:
         """Yes: a second pass saves failures, as ``scripts/detectors.py`` measures."""
         return True
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
-        """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
+    def __call__(self, image: Pixels) -> list[Detection]:
+        """The faces in a picture, as in `jaxfit.data.pictures.to_eight_bits`, largest first."""
         if not hasattr(self._of_thread, "detector"):
             import dlib
 

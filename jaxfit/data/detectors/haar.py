@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.detectors.detector import Detection, Search, area, holds, largest_first, overlap
-from jaxfit.data.pictures import to_grey
+from jaxfit.data.pictures import Pixels, to_grey
 
 FRONTAL, PROFILE = "haar-frontal", "haar-profile"
 
@@ -55,8 +55,8 @@ class Haar:
         """Yes: a second pass saves failures, as ``scripts/detectors.py`` measures."""
         return True
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
-        """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
+    def __call__(self, image: Pixels) -> list[Detection]:
+        """The faces in a picture, as in `jaxfit.data.pictures.to_eight_bits`, largest first."""
         small, back = _shrunk(to_grey(image), self.search)
         # The profile cascade takes three times as long as the frontal one and hardly adds to what that one is sure of.
         if not (found := _merged(_frontal(small, _SURE))):

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxfit.data.detectors.detector import Detection
+from jaxfit.data.pictures import Pixels, to_eight_bits
 
 KIND = "whole"
 
@@ -28,7 +29,7 @@ class Whole:
         """Yes: a second pass saves failures, as ``scripts/detectors.py`` measures."""
         return True
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
+    def __call__(self, image: Pixels) -> list[Detection]:
         """The picture itself, as large as it is."""
-        height, width = image.shape[:2]
+        height, width = to_eight_bits(image).shape[:2]
         return [Detection(np.array([0.0, 0.0, width, height]), KIND)]

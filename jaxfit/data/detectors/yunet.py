@@ -14,6 +14,7 @@ import numpy as np
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.crops import cut_face, to_image
 from jaxfit.data.detectors.detector import Detection, Search, merged, turned_back
+from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 
@@ -108,8 +109,9 @@ class YuNet:
         """No: a second pass gains nothing, as ``scripts/detectors.py`` measures."""
         return False
 
-    def __call__(self, image: np.ndarray) -> list[Detection]:
-        """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first."""
+    def __call__(self, image: Pixels) -> list[Detection]:
+        """The faces in a picture, as in `jaxfit.data.pictures.to_eight_bits`, largest first."""
+        image = to_eight_bits(image)
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
         if faces := self._faces_in(bgr):
             return faces

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.pictures import PICTURE_SUFFIXES
+from jaxfit.data.pictures import READABLE_SUFFIXES
 from jaxfit.data.pts import check_base, read_pts
 from jaxfit.errors import DatasetError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
@@ -33,7 +33,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         raise DatasetError(f"{folder}: expected a folder of .pts files with their pictures, found none; check the path")
     files = sorted(path for path in folder.iterdir() if path.is_file())
     # Reversed, so that of several pictures of one stem the first by name stays.
-    pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in PICTURE_SUFFIXES}
+    pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in READABLE_SUFFIXES}
     found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
     if not found:
         told = f"; first problem: {problems[0]}" if problems else ""
