@@ -4,6 +4,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from math import isfinite, isnan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +22,11 @@ from jaxfit.cli.arguments import (
     read_datasets,
     seed,
     untrained_starts,
+    unused_rows,
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
+from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.detectors import detector_named
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.pictures import read_grey
@@ -32,9 +35,9 @@ from jaxfit.evaluation.evaluate import (
     Evaluation,
     detected_boxes,
     fit_labelled,
-    match_boxes,
     measure,
     require_measurable,
+    share_boxes,
     start_boxes,
 )
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_report, pose_rows
@@ -102,14 +105,15 @@ def run(options: argparse.Namespace) -> int:
     schemes = [_measured_scheme(model, dataset) for dataset in datasets]
     for dataset, scheme in zip(datasets, schemes, strict=True):
         require_measurable(model.scheme, scheme, options.normaliser, dataset.faces)
-    boxes = given_boxes(options, model)
-    if boxes is not None and options.detector is not None:
+    named = given_boxes(options, model)
+    if named is not None and options.detector is not None:
         raise InputError("expected --boxes or a --detector that finds them; got both")
     starts, search = given_starts(options), given_search(options)
     if options.refine:
         require_refinable(model)
+    boxes, unused = (None, []) if named is None else _boxes_of_pictures(options.boxes, named, datasets)
     folder = out_folder(options.out)
-    kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
+    kinds = {dataset.spec: _box_kind(options, model, named, dataset) for dataset in datasets}
     passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
     pipeline = Pipeline(model, starts=starts, passes=passes, read=read_grey)
     results: dict[str, Evaluation] = {}
@@ -122,7 +126,7 @@ def run(options: argparse.Namespace) -> int:
             elif boxes is None:
                 begun, turned = start_boxes(dataset.faces, options.seed), None
             else:
-                begun, turned = match_boxes(dataset.faces, boxes)
+                begun, kind, turned = share_boxes(dataset.faces, boxes)
             fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, rotations=turned, progress=bars)
             results[dataset.spec] = measure(
                 refine(model, fits) if options.refine else fits,
@@ -150,6 +154,7 @@ def run(options: argparse.Namespace) -> int:
     write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
     report_problems(
         untrained_starts(options.model, model, starts)
+        + unused
         + [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
@@ -167,6 +172,22 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _boxes_of_pictures(
+    file: str, named: dict[str, list[GivenBox]], datasets: list[Dataset]
+) -> tuple[dict[Path, list[GivenBox]], list[str]]:
+    """The boxes of a file by picture, and a warning of those that no picture has; a name in the file must not mean
+    pictures of two datasets either."""
+    folders = [Path(file).parent, *(Path(parse_spec(dataset.spec)[2]) for dataset in datasets)]
+    folders = [folder if folder.is_dir() else folder.parent for folder in folders]
+    try:
+        boxes, unused = boxes_of_pictures(
+            named, [face.image for dataset in datasets for face in dataset.faces], folders
+        )
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    return boxes, [f"{file}: {unused_rows(unused)}"] if unused else []
+
+
 def _for_model(model: Model, dataset: Dataset) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is said; else as it is."""
     if (dataset.scheme.name, model.scheme.name) not in CONVERSIONS:
@@ -180,10 +201,12 @@ def _measured_scheme(model: Model, dataset: Dataset) -> Scheme:
     return dataset.scheme if (model.scheme.name, dataset.scheme.name) in CONVERSIONS else model.scheme
 
 
-def _box_kind(options: argparse.Namespace, model: Model, dataset: Dataset) -> str:
+def _box_kind(
+    options: argparse.Namespace, model: Model, named: dict[str, list[GivenBox]] | None, dataset: Dataset
+) -> str:
     """What draws the boxes that fits start from."""
-    if options.boxes is not None:
-        return str(options.box_kind)
+    if named is not None:
+        return ", ".join(sorted({box.kind for boxes in named.values() for box in boxes})) or SQUARE
     return _start_kind(model, dataset) if options.detector is None else str(options.detector)
 
 

@@ -143,16 +143,28 @@ def test_pictures_of_one_name_have_results_of_different_names(run: FolderRun, dr
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "same.png").write_bytes((drawn / "face000.png").read_bytes())
-    table = write_boxes(tmp_path / "boxes.csv", {"same.png": (35, 35, 50, 50)})
-    fit_folder(replace(run, boxes=table), [tmp_path / "a" / "same.png", tmp_path / "b" / "same.png"])
-    out = Path(run.out)
+    boxes = {"a/same.png": (35, 35, 50, 50), "b/same.png": (37, 33, 52, 52)}
+    table, out = write_boxes(tmp_path / "boxes.csv", boxes), Path(run.out)
+    pictures = [tmp_path / name for name in boxes]
+    assert fit_folder(replace(run, boxes=table), pictures).faces == 2
+    rows = read_csv(out / "landmarks.csv")
+    found = {Path(row["image"]): [float(row[side]) for side in ("x", "y", "width", "height")] for row in rows}
+    assert found == {picture: list(box) for picture, box in zip(pictures, boxes.values(), strict=True)}
     assert {path.name for path in (out / "pts").iterdir()} == {"same_1.pts", "same-2_1.pts"}
     assert {path.name for path in (out / "overlays").iterdir()} == {"same.jpg", "same-2.jpg"}
-
-
-def test_names_of_results_are_unique_whatever_the_pictures_are_called() -> None:
-    paths = [Path(name) for name in ("a/x.png", "b/x.png", "x-2.png", "c/x.jpg", "d/x-2.png", "y.png")]
-    assert list(folder.unique_names(paths)) == ["x", "x-2", "x-2-2", "x-3", "x-2-3", "y"]
+    # What was written does for boxes: the same faces again.
+    again = replace(run, boxes=out / "landmarks.csv", out=tmp_path / "again")
+    assert fit_folder(again, pictures).problems == ()
+    assert read_csv(tmp_path / "again" / "landmarks.csv") == rows
+    # One picture alone does not get the other's box; a name that may mean both is refused.
+    alone = fit_folder(replace(run, boxes=write_boxes(table, {"a/same.png": (35, 35, 50, 50)})), pictures[1:])
+    assert alone.problems[0].why == "no row with this path in the boxes, only a/same.png"
+    assert alone.unused == ("a/same.png",)
+    bare = replace(run, boxes=write_boxes(table, {"same.png": (35, 35, 50, 50)}))
+    with pytest.raises(InputError, match=rf"'same.png' may mean {pictures[0]} or {pictures[1]}"):
+        fit_folder(bare, pictures)
+    # Relative to a folder that was given it is one of them.
+    assert fit_folder(replace(bare, folders=(tmp_path / "a",)), pictures).faces == 1
 
 
 def test_all_faces_of_a_picture_are_fitted(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
