@@ -43,7 +43,8 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         required=True,
         metavar="SPEC",
         help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}; FORMAT+PIXELS:PATH moves the labels "
-        "right and down by so many pixels",
+        "right and down by so many pixels; labels of FORMAT@stored:PATH belong to the pixels as they are stored, "
+        "whatever EXIF data say",
     )
     command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
 

@@ -4,7 +4,6 @@ import time
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, boxes_of_pictures, jitter, rotation_array
 from jaxfit.data.detectors import Detection, Detector, Search, best_match
 from jaxfit.data.detectors.whole import KIND as WHOLE
-from jaxfit.data.pictures import Read, read_grey, read_image
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.fitting.find import find_faces
@@ -138,8 +137,7 @@ def detected_boxes(
     pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
     names = list(pictures)
     mine = share_of(names)
-    stored = partial(read_image, exif=False)  # what labels belong to
-    found = find_faces([names[number] for number in mine], detector, search=search, read=stored, progress=progress)
+    found = find_faces([names[number] for number in mine], detector, search=search, progress=progress)
     in_pictures: list[list[Detection]] = [[] for _ in pictures]
     found_here = [mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds, found.rotations.tolist()]
     for part in exchanged(found_here):
@@ -233,8 +231,7 @@ def evaluate(
         normaliser: ``"outer"`` eye corners, ``"pupil"`` centres or bounding ``"box"`` side.
         starts: of each face, as in ``jaxfit.fit``.
         passes: as in ``jaxfit.fit``.
-        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads. By default pictures are
-            read as they are stored, as labels mostly belong to stored pixels.
+        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:

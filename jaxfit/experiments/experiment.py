@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -120,9 +121,17 @@ class Experiment:
         datasets = read_datasets(plan.data, plan.scheme)
         scheme = shared_scheme(datasets)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
-        # By the folder's name alone, so that folds do not depend on where the data lie.
-        names = [Path(parse_spec(dataset.spec)[2]).name for dataset, _ in complete]
-        subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
+        # By the folder's name, so that folds do not depend on where the data lie; of several folders of one name, which
+        # have other people, the later ones are numbered.
+        places = dict.fromkeys(Path(parse_spec(dataset.spec)[2]).resolve() for dataset in datasets)
+        before: Counter[str] = Counter()
+        name_of: dict[Path, str] = {}
+        for place in places:
+            before[place.name] += 1
+            name_of[place] = place.name if before[place.name] == 1 else f"{place.name}-{before[place.name]}"
+        subjects = tuple(
+            f"{name_of[Path(parse_spec(dataset.spec)[2]).resolve()]}/{face.subject}" for dataset, face in complete
+        )
         records = tuple(face for _, face in complete)
         return DatasetFaces(
             scheme,
