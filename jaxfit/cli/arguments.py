@@ -11,6 +11,7 @@ from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox
 from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
+from jaxfit.data.numbers import whole_number
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
@@ -332,7 +333,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
 
 def seed(text: str) -> int:
     """A seed on the command line: a whole number that is not negative."""
-    number = int(text)
+    number = whole_number(text)
     if number < 0:
         raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
     return number

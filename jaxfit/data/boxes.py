@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxfit.data.names import pictures_named
+from jaxfit.data.numbers import number
 from jaxfit.errors import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
@@ -107,7 +108,7 @@ def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[GivenBox]
         # A short row has None in its last cells.
         name = row["image"] or ""
         try:
-            numbers = np.array([float(row[column]) for column in columns])
+            numbers = np.array([number(row[column]) for column in columns])
         except (ValueError, TypeError):
             numbers = np.full(4, np.nan)
         if not np.isfinite(numbers).all():

@@ -102,6 +102,7 @@ def test_boxes_may_say_how_faces_are_turned_and_what_drew_them(tmp_path):
         ("", "line 1: expected the columns"),
         ("image,x,y,w,h\n", "line 1: .*no width, height"),
         ("image,x,y,width,height\na,1,2,3,4\nb,1,2,three,4\n", "line 3: .*three"),
+        ("image,x,y,width,height\na,1,2,3,4_5\n", "line 2: .*4_5"),
         ("image,x,y,width,height\na,1,2\n", "line 2"),
         ("image,x,y,width,height\na,1,2,3,\n", "line 2"),
         ("image,x,y,width,height\n,1,2,3,4\n", "line 2: .*file name"),
