@@ -1,11 +1,12 @@
 """Pictures whose EXIF data turn them."""
 
 import struct
+from collections.abc import Callable
 
 import numpy as np
 
 # By EXIF orientation: what makes the seen picture of the stored one.
-TURNS = {
+TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
     1: lambda picture: picture,
     2: np.fliplr,
     3: lambda picture: np.rot90(picture, 2),

@@ -28,6 +28,7 @@ from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.detectors import detector_named
+from jaxfit.data.names import plain, table_path, table_word
 from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
@@ -271,4 +272,5 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
             pose = ["" if isnan(angle) else f"{angle:.3f}" for angle in angles]
             problem = why.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
             numbers = [*box, f"{error:.6f}", error_3d, *pose]
-            yield [spec, face.face, face.subject, face.image, *numbers, face.pose_order, problem]
+            names = [table_word(face.face), table_word(face.subject), table_path(face.image)]
+            yield [plain(spec), *names, *numbers, face.pose_order, plain(problem)]

@@ -20,8 +20,8 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
-from jaxfit.data.names import unique_names
-from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
+from jaxfit.data.names import plain, table_path, unique_names
+from jaxfit.data.outputs import atomic_write, not_written, require_same_settings, write_csv
 from jaxfit.data.overlays import box_of, draw_name, draw_row
 from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
@@ -98,7 +98,7 @@ class FolderRun:
             "detector": self.detector,
             "search": vars(self.search),
             "box_kind": self.box_kind,
-            "folders": list(map(str, self.folders)),
+            "folders": list(map(str, self.folders if self.boxes else ())),
             "starts": vars(self.starts),
             "refine": self.refine,
             "overlays": self.overlays,
@@ -176,8 +176,8 @@ def fit_folder(
     rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
-    problems = list(chunks.problems())
-    write_csv(out / "problems.csv", ["image", "problem"], problems)
+    problems = [*chunks.problems(), *starmap(Unfit, rows.failures)]
+    write_csv(out / "problems.csv", ["image", "problem"], ((table_path(path), plain(why)) for path, why in problems))
     if run.min_confidence is not None:
         below = fitted.only(lambda row: row["confidence"] < run.min_confidence)
         values = ([table_text(value) for value in table_values("landmarks", row)] for row in below)
@@ -289,15 +289,18 @@ def _draw(
             faces.setdefault(row["image"], []).append(row)
 
     def draw(picture: Path, label: str) -> list[Row]:
+        path = folder / f"{label}.jpg"
         try:
             canvas = read_image(picture)
             for number, row in enumerate(faces[str(picture)], 1):
                 canvas = draw_row(canvas, row, scheme)
                 name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
                 canvas = draw_name(canvas, name, box_of(row), row["ok"])
-            write_image(folder / f"{label}.jpg", canvas)
+            write_image(path, canvas)
         except ImageError as error:
             return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]
+        except (OSError, InputError) as error:
+            return [{"image": str(picture), PROBLEM: not_written(path, error)}]
         return []
 
     work: Iterator[Callable[[], list[Row]]] = (

@@ -12,6 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.names import table_path
 from jaxfit.data.pictures import NAMELESS
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
@@ -90,15 +91,10 @@ def _pictures(batch: Any) -> tuple[list[str], list[Path | bytes]]:
     if not ("image" in batch or "path" in batch):
         raise InputError(f"expected a column of files, image or path; got {', '.join(map(str, batch)) or 'no column'}")
     given = [str(name) for name in batch["image" if "image" in batch else "path"]]
-    names = list(map(plain, given))
+    names = list(map(table_path, given))
     if "bytes" not in batch:
         return names, [Path(name) for name in given]
     return names, [b"" if data is None else bytes(data) for data in batch["bytes"]]
-
-
-def plain(name: str) -> str:
-    """The name of a file as it stands in tables, which take text only."""
-    return name.encode("utf-8", "backslashreplace").decode()
 
 
 @cache

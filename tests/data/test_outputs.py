@@ -63,3 +63,8 @@ def test_only_files_in_existing_folders_are_written(tmp_path):
 def test_csv_quotes_what_needs_it(tmp_path):
     write_csv(tmp_path / "t.csv", ["a", "b"], [["x,y", 1.5], ['"', None]])
     assert (tmp_path / "t.csv").read_bytes() == b'a,b\n"x,y",1.5\n"""",\n'
+
+
+def test_text_is_valid_utf_8_whatever_names_are_in_it(tmp_path):
+    write_csv(tmp_path / "table.csv", ["image"], [[os.fsdecode(b"\xe9 n\xc3\xa9.jpg")], ["\ud800"]])
+    assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "image\n\\xe9 né.jpg\n\\ud800\n"

@@ -20,6 +20,7 @@ from jaxfit.labels.records import FaceRecord
 from jaxfit.labels.turned import seen_points
 from jaxfit.runs import FolderRun, fit_folder
 from jaxfit.schemes.known import IBUG68
+from jaxfit.schemes.scheme import mirror_order
 
 
 def photo(path: Path, seen: np.ndarray, orientation: int) -> Path:
@@ -69,7 +70,7 @@ def test_labels_of_stored_pixels_are_turned_with_their_pictures(orientation: int
     photo(tmp_path / "a.jpg", TURNS[orientation](np.zeros((height, width, 3), np.uint8)), orientation)
     write_pts(tmp_path / "a.pts", points, base=0)
     (as_stored,) = read_dataset(f"pts0@stored+2:{tmp_path}").faces
-    order = IBUG68.mirror if orientation in (2, 4, 5, 7) else range(68)
+    order = mirror_order(IBUG68) if orientation in (2, 4, 5, 7) else range(68)
     expected = seen_points(points + 2, (width, height), orientation)[list(order)]
     np.testing.assert_allclose(as_stored.landmarks, expected, atol=1e-3)
     plain = read_dataset(f"pts0+2:{tmp_path}")

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -352,21 +353,51 @@ def test_a_detector_finds_the_faces_where_there_are_no_boxes(run: FolderRun, dra
     assert [row["box"] for row in read_csv(Path(run.out) / "landmarks.csv")] == ["whole"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
-def test_names_of_files_need_not_be_text(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are not any bytes elsewhere")
+def test_no_name_of_a_picture_spoils_a_run(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
-    odd = os.fsencode(tmp_path / "odd")
-    os.mkdir(odd)
-    for name, data in ((b"\xe9t\xe9.png", (drawn / "face000.png").read_bytes()), (b"\xff.png", b"")):
-        with open(os.path.join(odd, name), "wb") as file:
-            file.write(data)
-    formats = ("csv", "jsonl", "coco", "parquet")
-    model = replace(run, model="fast68", boxes=None, detector="whole", formats=formats)
-    report = fit_folder(model, find_images([tmp_path / "odd"]))
-    assert report.faces == 1
+    good, odd = (drawn / "face000.png").read_bytes(), tmp_path / "odd"
+    long = b"l" * 251 + b".png"
+    names = (
+        b"\xe9t\xe9.png",
+        long,
+        b"l" * 250 + b"!.png",
+        b"=1+1.png",
+        b"-rf.png",
+        b"new\nline.png",
+        b"c:\\..\\up.png",
+    )
+    odd.mkdir()
+    for name in (*names, b"\xff.png"):
+        Path(os.fsdecode(os.path.join(os.fsencode(odd), name))).write_bytes(b"" if name == b"\xff.png" else good)
     out = Path(run.out)
-    assert b"\xe9t\xe9.png,\xe9t\xe9_1," in (out / "landmarks.csv").read_bytes()
-    assert b"\xff.png,the file is empty" in (out / "problems.csv").read_bytes()
+    (out / "pts" / "_-rf_1.pts").mkdir(parents=True)  # what cannot be written is a problem of its picture alone
+    (out / "overlays" / "new_line.jpg").mkdir(parents=True)
+    whole = replace(run, boxes=None, detector="whole", formats=tuple(WRITERS), model="fast68")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(odd)
+        report = fit_folder(whole, find_images(["."]))
+        assert report.faces == len(names)
+        rows, problems = read_csv(out / "landmarks.csv"), read_csv(out / "problems.csv")
+        assert {row["image"] for row in rows} == {
+            *(r"\xe9t\xe9.png", os.fsdecode(long), "l" * 250 + "!.png", "./=1+1.png", "./-rf.png"),
+            *(r"new\x0aline.png", r"c:\\..\\up.png"),
+        }
+        assert {row["image"]: row["problem"].split(":")[0] for row in problems} == {
+            r"\xff.png": "the file is empty",
+            "./-rf.png": f"cannot write {out / 'pts' / '_-rf_1.pts'}",
+            r"new\x0aline.png": f"cannot write {out / 'overlays' / 'new_line.jpg'}",
+        }
+        # All tables say the same, in valid UTF-8, and do for boxes.
+        for table in ("landmarks.csv", "problems.csv", "faces.jsonl", "keypoints.json"):
+            (out / table).read_text(encoding="utf-8")
+        lines = (out / "faces.jsonl").read_text(encoding="utf-8").splitlines()
+        assert [json.loads(line)["image"] for line in lines] == [row["image"] for row in rows]
+        for file in os.listdir(out / "pts"):
+            assert re.fullmatch(r"[\w.!=+-]+", file, re.ASCII), file
+        again = replace(whole, boxes=out / "landmarks.csv", detector=None, out=tmp_path / "again", formats=("csv",))
+        assert fit_folder(again, find_images(["."])).unused == ()
+    assert {row["image"] for row in read_csv(tmp_path / "again" / "landmarks.csv")} == {row["image"] for row in rows}
 
 
 def test_doubtful_faces_stand_apart_if_so_wished(
