@@ -9,6 +9,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
 _APPLICATION_1, _EXIF = 0xE1, b"Exif\0\0"
 _ORIENTATION = 0x0112  # EXIF's tag
+_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}  # of bytes, by the first ones of EXIF data
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
 # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan; 0x01 has no
 # segment either.
@@ -36,8 +37,8 @@ def stored_size(data: bytes) -> tuple[int, int] | None:
 
 
 def exif_orientation(data: bytes) -> int:
-    """How a JPEG, PNG or WebP picture is turned to be seen, from 1 to 8, as its EXIF data say; 1, not at all, for all
-    else."""
+    """How a JPEG, PNG, WebP or TIFF picture is turned to be seen, from 1 to 8, as its EXIF data say; 1, not at all, for
+    all else."""
     try:
         for exif in _exif(data):
             return _orientation(exif)
@@ -68,10 +69,12 @@ def _exif(data: bytes) -> Iterator[bytes]:
             if kind == b"EXIF":
                 yield data[at + 8 : at + 8 + size].removeprefix(_EXIF)
             at += 8 + size + size % 2
+    elif data[:4] in _ORDERS:  # a TIFF picture has the same directory itself
+        yield data
 
 
 def _orientation(exif: bytes) -> int:
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(exif[:4])
+    order = _ORDERS.get(exif[:4])
     if order is None:
         return 1
     (first,) = struct.unpack_from(f"{order}I", exif, 4)

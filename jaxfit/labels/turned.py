@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import JPEG, exif_orientation, stored_size
+from jaxfit.data.headers import JPEG, exif_orientation
+from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.scheme import Scheme
 
 _HEAD = 1 << 16  # bytes of a JPEG picture that say how it is turned; its EXIF data are no longer
-_MIRRORED = (2, 4, 5, 7)
+_MIRRORED, _SIDEWAYS = (2, 4, 5, 7), (5, 6, 7, 8)
 _NAMED = 3  # pictures that a notice names
 
 
@@ -70,15 +71,16 @@ def as_seen(dataset: Dataset) -> Dataset:
         try:
             orientation = turned.get(face.image, 1)
             faces.append(face if orientation == 1 else _seen(face, orientation, dataset.scheme))
-        except (ImageError, InputError) as error:
+        except ImageError as error:
+            problems.append(str(error))
+        except InputError as error:
             problems.append(f"{face.image}: {error}")
     return replace(dataset, faces=tuple(faces), problems=tuple(problems))
 
 
 def _seen(face: FaceRecord, orientation: int, scheme: Scheme) -> FaceRecord:
-    size = stored_size(face.image.read_bytes())
-    if size is None:
-        raise ImageError("its size cannot be read, and its labels cannot be turned")
+    height, width = read_grey(face.image).shape
+    size = (height, width) if orientation in _SIDEWAYS else (width, height)
     order = np.arange(scheme.count)
     if orientation in _MIRRORED:  # what was labelled as the right eye is seen as the left one
         if scheme.mirror is None and scheme.count:

@@ -283,6 +283,9 @@ def test_a_stopped_run_goes_on_where_it_was(
             fit_folder(replace(run, **changed), pictures)
     with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
         fit_folder(run, pictures[1:])
+    with pytest.MonkeyPatch.context() as elsewhere, pytest.raises(InputError, match="pictures' names: "):
+        elsewhere.chdir(tmp_path)  # other pictures of the same names
+        fit_folder(run, [Path(path.name) for path in pictures])
     calls: list[tuple[str, int, int]] = []
     report = fit_folder(run, pictures, lambda *call: calls.append(call))
     assert (report.pictures, report.resumed, report.faces) == (12, 8, 10)
