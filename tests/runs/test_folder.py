@@ -283,9 +283,6 @@ def test_a_stopped_run_goes_on_where_it_was(
             fit_folder(replace(run, **changed), pictures)
     with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
         fit_folder(run, pictures[1:])
-    with pytest.MonkeyPatch.context() as elsewhere, pytest.raises(InputError, match="pictures' names: "):
-        elsewhere.chdir(tmp_path)  # other pictures of the same names
-        fit_folder(run, [Path(path.name) for path in pictures])
     calls: list[tuple[str, int, int]] = []
     report = fit_folder(run, pictures, lambda *call: calls.append(call))
     assert (report.pictures, report.resumed, report.faces) == (12, 8, 10)
@@ -296,6 +293,17 @@ def test_a_stopped_run_goes_on_where_it_was(
     _assert_same_results(out, whole[1])
     # A run that is finished is done anew.
     assert fit_folder(replace(run, overlays=False), pictures).resumed == 0
+
+
+def test_other_pictures_of_the_same_names_are_other_settings(
+    run: FolderRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digests = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        digests.append(run.settings([Path("001.png")])["pictures' names"])
+    assert digests[0] != digests[1]
 
 
 def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> None:
