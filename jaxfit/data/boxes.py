@@ -97,7 +97,9 @@ def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
             if missing:
                 raise InputError(f"{path}, line 1: expected the columns {','.join(_COLUMNS)}; no {', '.join(missing)}")
             return _boxes(path, reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a CSV file of face boxes in UTF-8; {error}; save it as UTF-8") from error
+    except (OSError, csv.Error) as error:
         raise InputError(f"{path}: expected a CSV file of face boxes; {error}") from error
 
 

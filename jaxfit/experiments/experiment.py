@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.experiments.arrays import Arrays, load_arrays, save_arrays
 from jaxfit.experiments.config import Config, DatasetPlan
+from jaxfit.experiments.names import folder_names
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.aligned import align_labels
 from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
@@ -121,17 +121,9 @@ class Experiment:
         datasets = read_datasets(plan.data, plan.scheme)
         scheme = shared_scheme(datasets)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
-        # By the folder's name, so that folds do not depend on where the data lie; of several folders of one name, which
-        # have other people, the later ones are numbered.
-        places = dict.fromkeys(Path(parse_spec(dataset.spec)[2]).resolve() for dataset in datasets)
-        before: Counter[str] = Counter()
-        name_of: dict[Path, str] = {}
-        for place in places:
-            before[place.name] += 1
-            name_of[place] = place.name if before[place.name] == 1 else f"{place.name}-{before[place.name]}"
-        subjects = tuple(
-            f"{name_of[Path(parse_spec(dataset.spec)[2]).resolve()]}/{face.subject}" for dataset, face in complete
-        )
+        # By the folder's name alone, so that folds do not depend on where the data lie.
+        names = folder_names([parse_spec(dataset.spec).path for dataset, _ in complete])
+        subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
         records = tuple(face for _, face in complete)
         return DatasetFaces(
             scheme,
