@@ -31,7 +31,7 @@ from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.plots import new_figure
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, summary_row
 from jaxfit.fitting.stream import BATCHES
-from jaxfit.labels.records import FaceRecord
+from jaxfit.labels.records import FaceRecord, copies_of
 from jaxfit.models.model import Model
 from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
@@ -170,9 +170,11 @@ def rival(arguments: argparse.Namespace, model: Model, scheme: Scheme, faces: Se
         datasets = read_datasets(arguments.dlib_train, arguments.scheme)
         if (other := shared_scheme(datasets)) != scheme:
             raise InputError(f"--dlib-train: expected labels of {scheme.name} as those of --data; got {other.name}")
-        tested = {face.image.name for face in faces}
         complete = [face for dataset in datasets for face in dataset.faces if face.complete]
-        others = [face for face in complete if face.image.name not in tested]
+        tested = [
+            copies_of([face.image for face in faces], [face.image for face in dataset.faces]) for dataset in datasets
+        ]
+        others = [face for face in complete if not any(face.image in copies for copies in tested)]
         print(
             f"dlib's training: {len(others)} of {len(complete)} faces; --data has the others' pictures", file=sys.stderr
         )

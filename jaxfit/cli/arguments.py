@@ -2,24 +2,27 @@
 
 import argparse
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox, read_boxes
+from jaxfit.data.boxes import GivenBox
 from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
+from jaxfit.data.numbers import whole_number
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
+from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
 from jaxfit.labels.datasets import shared_scheme as shared_scheme
 from jaxfit.learning.methods import Options, default_descriptor
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
@@ -41,7 +44,8 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         required=True,
         metavar="SPEC",
         help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}; FORMAT+PIXELS:PATH moves the labels "
-        "right and down by so many pixels",
+        "right and down by so many pixels; labels of FORMAT@stored:PATH belong to the pixels as they are stored, "
+        "whatever EXIF data say",
     )
     command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
 
@@ -66,14 +70,14 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
         "--boxes",
         metavar="FILE.csv",
         help="face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces are "
-        f"turned; image is the file's name; without it, {otherwise}",
+        "turned, such as a landmarks.csv; image is a path, or the end of one that only one picture has, such as its "
+        f"file name; without it, {otherwise}",
     )
     command.add_argument(
         "--box-kind",
-        default=SQUARE,
         metavar="KIND",
-        help="what drew the boxes of FILE.csv: square (around the landmarks, the default), haar-frontal, haar-profile, "
-        "dlib, yunet, whole",
+        help="what drew the boxes of FILE.csv: square (around the landmarks), haar-frontal, haar-profile, dlib, yunet, "
+        "whole; by default what its column box says, or square",
     )
 
 
@@ -114,17 +118,21 @@ def known_detectors() -> str:
 
 
 def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[GivenBox]] | None:
-    """The boxes that ``--boxes`` names, by picture; None without it.
+    """The boxes that ``--boxes`` names, by what the file calls the picture; None without it.
 
     Raises:
         InputError: the file is wrong, the model does not know the kind of box, or there is a kind but no file.
     """
     if arguments.boxes is None:
-        if arguments.box_kind != SQUARE:
+        if arguments.box_kind is not None:
             raise InputError(f"--box-kind {arguments.box_kind} says what drew the boxes of --boxes; give that file too")
         return None
-    model.placement(arguments.box_kind)
-    return read_boxes(arguments.boxes)
+    return read_known_boxes(arguments.boxes, arguments.box_kind, model)
+
+
+def unused_rows(names: Sequence[str]) -> str:
+    """A warning of names in the file of boxes that no picture has."""
+    return f"rows for pictures that were not given: {len(names)}, such as {names[0]}"
 
 
 def add_starts(command: argparse.ArgumentParser, about: str) -> None:
@@ -325,7 +333,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
 
 def seed(text: str) -> int:
     """A seed on the command line: a whole number that is not negative."""
-    number = int(text)
+    number = whole_number(text)
     if number < 0:
         raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
     return number

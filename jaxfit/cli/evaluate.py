@@ -4,6 +4,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from math import isfinite, isnan
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,13 @@ from jaxfit.cli.arguments import (
     read_datasets,
     seed,
     untrained_starts,
+    unused_rows,
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
+from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.detectors import Search, detector_named
+from jaxfit.data.names import plain, table_path, table_word
 from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
@@ -32,9 +36,9 @@ from jaxfit.evaluation.evaluate import (
     Evaluation,
     detected_boxes,
     fit_labelled,
-    match_boxes,
     measure,
     require_measurable,
+    share_boxes,
     start_boxes,
 )
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_report, pose_rows
@@ -103,8 +107,8 @@ def run(options: argparse.Namespace) -> int:
     schemes = [_measured_scheme(model, dataset) for dataset in datasets]
     for dataset, scheme in zip(datasets, schemes, strict=True):
         require_measurable(model.scheme, scheme, options.normaliser, dataset.faces)
-    boxes = given_boxes(options, model)
-    if boxes is not None and options.detector is not None:
+    named = given_boxes(options, model)
+    if named is not None and options.detector is not None:
         raise InputError("expected --boxes or a --detector that finds them; got both")
     starts, search = given_starts(options), given_search(options)
     if options.detector is None and search != Search():
@@ -114,8 +118,9 @@ def run(options: argparse.Namespace) -> int:
     if options.refine:
         require_refinable(model)
     require_own_folder(options.out, _COMMAND)
+    boxes, unused = (None, []) if named is None else _boxes_of_pictures(options.boxes, named, datasets)
     folder = out_folder(options.out)
-    kinds = {dataset.spec: _box_kind(options, model, dataset) for dataset in datasets}
+    kinds = {dataset.spec: _box_kind(options, model, named, dataset) for dataset in datasets}
     passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
     pipeline = Pipeline(model, starts=starts, passes=passes, read=read_grey)
     results: dict[str, Evaluation] = {}
@@ -128,7 +133,7 @@ def run(options: argparse.Namespace) -> int:
             elif boxes is None:
                 begun, turned = start_boxes(dataset.faces, options.seed), None
             else:
-                begun, turned = match_boxes(dataset.faces, boxes)
+                begun, kind, turned = share_boxes(dataset.faces, boxes)
             fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, rotations=turned, progress=bars)
             results[dataset.spec] = measure(
                 refine(model, fits) if options.refine else fits,
@@ -157,6 +162,7 @@ def run(options: argparse.Namespace) -> int:
     replace_results(folder, _COMMAND, ["report.json", "faces.csv"], {"model": options.model, "data": list(reports)})
     report_problems(
         untrained_starts(options.model, model, starts)
+        + unused
         + [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
@@ -174,6 +180,22 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _boxes_of_pictures(
+    file: str, named: dict[str, list[GivenBox]], datasets: list[Dataset]
+) -> tuple[dict[Path, list[GivenBox]], list[str]]:
+    """The boxes of a file by picture, and a warning of those that no picture has; a name in the file must not mean
+    pictures of two datasets either."""
+    folders = [Path(file).parent, *(Path(parse_spec(dataset.spec)[2]) for dataset in datasets)]
+    folders = [folder if folder.is_dir() else folder.parent for folder in folders]
+    try:
+        boxes, unused = boxes_of_pictures(
+            named, [face.image for dataset in datasets for face in dataset.faces], folders
+        )
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    return boxes, [f"{file}: {unused_rows(unused)}"] if unused else []
+
+
 def _for_model(model: Model, dataset: Dataset) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is said; else as it is."""
     if (dataset.scheme.name, model.scheme.name) not in CONVERSIONS:
@@ -187,10 +209,12 @@ def _measured_scheme(model: Model, dataset: Dataset) -> Scheme:
     return dataset.scheme if (model.scheme.name, dataset.scheme.name) in CONVERSIONS else model.scheme
 
 
-def _box_kind(options: argparse.Namespace, model: Model, dataset: Dataset) -> str:
+def _box_kind(
+    options: argparse.Namespace, model: Model, named: dict[str, list[GivenBox]] | None, dataset: Dataset
+) -> str:
     """What draws the boxes that fits start from."""
-    if options.boxes is not None:
-        return str(options.box_kind)
+    if named is not None:
+        return ", ".join(sorted({box.kind for boxes in named.values() for box in boxes})) or SQUARE
     return _start_kind(model, dataset) if options.detector is None else str(options.detector)
 
 
@@ -256,4 +280,5 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
             pose = ["" if isnan(angle) else f"{angle:.3f}" for angle in angles]
             problem = why.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
             numbers = [*box, f"{error:.6f}", error_3d, *pose]
-            yield [spec, face.face, face.subject, face.image, *numbers, face.pose_order, problem]
+            names = [table_word(face.face), table_word(face.subject), table_path(face.image)]
+            yield [plain(spec), *names, *numbers, face.pose_order, plain(problem)]

@@ -1,6 +1,7 @@
 """``jaxfit fit``: find landmarks in pictures, however many, and go on after having been stopped."""
 
 import argparse
+from pathlib import Path
 
 from jaxfit.cli.arguments import (
     add_boxes,
@@ -11,6 +12,7 @@ from jaxfit.cli.arguments import (
     given_search,
     given_starts,
     untrained_starts,
+    unused_rows,
 )
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.pictures import find_images
@@ -70,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
         detector=options.detector,
         search=given_search(options),
         boxes=options.boxes,
+        folders=tuple(path for path in options.pictures if Path(path).is_dir()),
         box_kind=options.box_kind,
         starts=starts,
         refine=options.refine,
@@ -87,8 +90,7 @@ def run(options: argparse.Namespace) -> int:
     problems = untrained_starts(options.model, load(options.model), starts)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:
-        rows = f"rows for pictures that were not given: {len(report.unused)}, such as {report.unused[0]}"
-        problems.append(f"{options.boxes}: {rows}")
+        problems.append(f"{options.boxes}: {unused_rows(report.unused)}")
     report_problems(problems)
     doubtful = f" ({report.doubtful} of them doubtful)" if report.doubtful else ""
     print(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")

@@ -10,7 +10,7 @@ from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.datasets import parse_spec
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
-from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.labels.records import Dataset, FaceRecord, copies_of
 from jaxfit.schemes.scheme import Scheme
 
 
@@ -55,7 +55,8 @@ def add_faces(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="datasets to be tested on: faces in pictures with the file names of theirs are left out of all others",
+        help="datasets to be tested on: faces in their pictures, or in others of the same file names, are left out of "
+        "all others",
     )
 
 
@@ -81,13 +82,13 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
         raise InputError("--lift-yaw says which faces of --lift are taken; give that too")
     datasets = read_datasets(arguments.data, arguments.scheme)
     scheme = shared_scheme(datasets)
-    parts = [dataset.faces for dataset in datasets]
+    parts = [list(dataset.faces) for dataset in datasets]
     sources = [_source(dataset) for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
     if arguments.fill:
         head = load_head_model(arguments.head_model)
         filled = [fill_labels(part, scheme, head) for part in parts]
-        parts = [part.faces for part in filled]
+        parts = [list(part.faces) for part in filled]
         problems += [
             f"{dataset.spec}: {problem}"
             for dataset, part in zip(datasets, filled, strict=True)
@@ -99,17 +100,19 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     ]
     for dataset, through_head, least_yaw, done in others:
         found = through_head(dataset.faces, dataset.scheme, scheme, load_head_model(arguments.head_model), least_yaw)
-        parts.append(found.faces)
+        parts.append(list(found.faces))
         sources.append(_source(dataset))
         problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]
         print(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {scheme.name}")
+    for tested in read_datasets(arguments.without, None):
+        parts = _without(parts, tested)
     # A person of the same name in another dataset is another person, but one of a dataset that is lifted and shared.
     faces = [
         replace(face, subject=f"{sources.index(source)}/{face.subject}")
         for source, part in zip(sources, parts, strict=True)
         for face in part
     ]
-    return LabelledFaces(_without(faces, read_datasets(arguments.without, None)), scheme, problems)
+    return LabelledFaces(faces, scheme, problems)
 
 
 def require_people(found: LabelledFaces, folds: int | None) -> None:
@@ -127,14 +130,14 @@ def _source(dataset: Dataset) -> Path:
     return Path(parse_spec(dataset.spec)[2]).resolve()
 
 
-def _without(faces: list[FaceRecord], tested: list[Dataset]) -> list[FaceRecord]:
-    """The faces in other pictures than those of the tested datasets; says how many are not.
-
-    By the names of the files: AFLW2000-3D's pictures are AFLW's, cut and scaled, under the same names.
-    """
-    for dataset in tested:
-        names = {face.image.name for face in dataset.faces}
-        kept = [face for face in faces if face.image.name not in names]
-        print(f"{len(faces) - len(kept)} of {len(faces)} faces left out: {dataset.spec} has their pictures")
-        faces = kept
-    return faces
+def _without(parts: list[list[FaceRecord]], tested: Dataset) -> list[list[FaceRecord]]:
+    """The faces of several datasets in other pictures than those of a tested one; prints how many are not."""
+    copies: dict[Path, Path] = {}
+    for part in parts:
+        copies |= copies_of([face.image for face in tested.faces], [face.image for face in part])
+    kept = [[face for face in part if face.image not in copies] for part in parts]
+    every, left = (sum(map(len, some)) for some in (parts, kept))
+    elsewhere = [(copy, picture) for copy, picture in copies.items() if copy.resolve() != picture.resolve()]
+    by_name = f"; some by their names, such as {elsewhere[0][0]} for {elsewhere[0][1]}" if elsewhere else ""
+    print(f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}")
+    return kept

@@ -1,23 +1,33 @@
 """The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jaxfit
 from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
 from jaxfit.compile_cache import keep_compiled_code
+from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
 _COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments)
 
 
+class _Parser(argparse.ArgumentParser):
+    """Reads numbers as the files' readers do: ``1_5`` is none."""
+
+    def __init__(self, *arguments: Any, **options: Any):
+        super().__init__(*arguments, **options)
+        self.register("type", float, number)
+        self.register("type", int, whole_number)
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
-    top = argparse.ArgumentParser(
-        prog="jaxfit", description="Face landmarks, 3D shape and head pose by cascaded regression, in JAX."
-    )
+    top = _Parser(prog="jaxfit", description="Face landmarks, 3D shape and head pose by cascaded regression, in JAX.")
     top.add_argument("--version", action="version", version=f"jaxfit {jaxfit.__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     for module in _COMMANDS:
@@ -35,6 +45,8 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
     """What ``run`` returns; 2 after an error, which is said in one line, 130 if stopped, 141 if nobody reads what it
     prints any more, as in ``jaxfit models | head -1``. Compiled code is kept."""
     keep_compiled_code()
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
     try:
         code = run(options)
         sys.stdout.flush()

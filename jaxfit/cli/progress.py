@@ -6,6 +6,8 @@ from typing import Any
 
 from tqdm import tqdm
 
+from jaxfit.data.names import plain
+
 
 class Bars:
     """A progress callback ``(stage, done, total)`` that shows one bar a stage on standard error."""
@@ -47,6 +49,6 @@ def report_problems(problems: list[str], shown: int = 20) -> None:
         return
     print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''}:", file=sys.stderr)
     for problem in problems[:shown]:
-        print(f"  {problem}", file=sys.stderr)
+        print(f"  {plain(problem)}", file=sys.stderr)  # names of files may hold what moves a terminal's cursor
     if len(problems) > shown:
         print(f"  … and {len(problems) - shown} more", file=sys.stderr)

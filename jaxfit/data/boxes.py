@@ -2,16 +2,19 @@
 
 import csv
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxfit.data.names import pictures_named
+from jaxfit.data.numbers import number
 from jaxfit.errors import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
-_ROTATION = "rotation"
+_ROTATION, _KIND = "rotation", "box"
 _SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
 
 
@@ -69,17 +72,20 @@ class GivenBox(NamedTuple):
     Attributes:
         box: (4,).
         rotation: how far the face is turned in the picture, in degrees, clockwise as seen.
+        kind: what drew it; empty if the file does not say.
     """
 
     box: np.ndarray
     rotation: float
+    kind: str = ""
 
 
 def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
-    """Boxes by the picture's file name, from a CSV file with the columns image, x, y, width and height, and
-    rotation, in degrees, if faces are turned.
+    """Boxes by what the file calls the picture, from a CSV file with the columns image, x, y, width and height;
+    rotation, in degrees, if faces are turned; and box, what drew it, if several detectors did.
 
-    Columns may come in any order and beside others; of ``image`` only the file name counts.
+    Columns may come in any order and beside others: the ``landmarks.csv`` of ``jaxfit fit`` is such a file. ``image``
+    is a path, as `boxes_of_pictures` says.
 
     Raises:
         InputError: the file is missing, not CSV, lacks a column, or has a cell that is not a finite number.
@@ -91,7 +97,9 @@ def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
             if missing:
                 raise InputError(f"{path}, line 1: expected the columns {','.join(_COLUMNS)}; no {', '.join(missing)}")
             return _boxes(path, reader)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a CSV file of face boxes in UTF-8; {error}; save it as UTF-8") from error
+    except (OSError, csv.Error) as error:
         raise InputError(f"{path}: expected a CSV file of face boxes; {error}") from error
 
 
@@ -100,9 +108,9 @@ def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[GivenBox]
     boxes: dict[str, list[GivenBox]] = {}
     for row in reader:
         # A short row has None in its last cells.
-        name = Path((row["image"] or "").strip()).name
+        name = row["image"] or ""
         try:
-            numbers = np.array([float(row[column]) for column in columns])
+            numbers = np.array([number(row[column]) for column in columns])
         except (ValueError, TypeError):
             numbers = np.full(4, np.nan)
         if not np.isfinite(numbers).all():
@@ -110,10 +118,33 @@ def _boxes(path: str | Path, reader: csv.DictReader) -> dict[str, list[GivenBox]
             raise InputError(
                 f"{path}, line {reader.line_num}: expected finite numbers {', '.join(columns)}; got {cells}"
             )
-        if not name:
+        if not name.strip():
             raise InputError(f"{path}, line {reader.line_num}: expected the picture's file name; got none")
-        boxes.setdefault(name, []).append(GivenBox(numbers[:4], float(numbers[4]) if len(numbers) > 4 else 0.0))
+        rotation = float(numbers[4]) if len(numbers) > 4 else 0.0
+        boxes.setdefault(name, []).append(GivenBox(numbers[:4], rotation, (row.get(_KIND) or "").strip()))
     return boxes
+
+
+def boxes_of_pictures(
+    named: Mapping[str, Sequence[GivenBox]], pictures: Iterable[Path], folders: Iterable[str | Path] = ()
+) -> tuple[dict[Path, list[GivenBox]], list[str]]:
+    """The boxes of each picture, from those that `read_boxes` gives by name, and the names that no picture has.
+
+    Args:
+        named: what the file calls pictures: paths, absolute, or relative to ``folders`` or the working folder, or ends
+            of paths, such as bare file names, where only one picture's path ends so.
+        pictures: that may be meant.
+        folders: those that hold the file, and the pictures.
+
+    Raises:
+        InputError: a name may mean several pictures.
+    """
+    meant = pictures_named(named, pictures, folders)
+    boxes: dict[Path, list[GivenBox]] = {}
+    for name, several in meant.items():
+        for picture in several:
+            boxes.setdefault(picture, []).extend(named[name])
+    return boxes, sorted(set(named) - set(meant))
 
 
 def box_array(boxes: ArrayLike, count: int) -> np.ndarray:

@@ -1,5 +1,9 @@
-"""Writing files whole or not at all: a crash, a full disk or Ctrl-C never leaves half a file under the final name."""
+"""Writing files whole or not at all: a crash, a full disk or Ctrl-C never leaves half a file under the final name.
 
+Text is always valid UTF-8: a byte of a file's name that is not becomes ``\\xe9`` (`jaxfit.data.names.plain`).
+"""
+
+import codecs
 import csv
 import json
 import os
@@ -11,9 +15,20 @@ from pathlib import Path
 from typing import IO, Any, Literal
 
 import jaxfit
+from jaxfit.data.names import plain
 from jaxfit.errors import InputError
 
 MANIFEST = "manifest.json"  # of a folder of results: what a run wrote, which command it was, and when
+_SPELLED = "jaxfit.spelled"
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """What to write for what UTF-8 cannot: surrogates, which names of files have for bytes that are no text."""
+    assert isinstance(error, UnicodeEncodeError)
+    return plain(error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(_SPELLED, _spelled)
 
 
 def require_own_folder(folder: str | Path, command: str) -> None:
@@ -109,6 +124,12 @@ def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") 
             yield f"{within}{key}: {' there, '.join(told)} here"
 
 
+def not_written(path: str | Path, error: Exception) -> str:
+    """Why a file of one of many pictures could not be written, for the problems of that picture."""
+    reason = error.strerror if isinstance(error, OSError) else None
+    return f"cannot write {path}: {reason}" if reason else str(error)
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """The name of a file to write that becomes ``path`` when the block ends, and vanishes when the block raises.
@@ -138,13 +159,12 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def atomic_write(path: str | Path, mode: Literal["w", "wb"] = "wb") -> Iterator[IO[Any]]:
     """A file to write to that becomes ``path`` when the block ends, and vanishes when the block raises.
 
-    Text (``mode="w"``) is UTF-8 and newlines are written as they are given; names of files that are not UTF-8 are
-    written as the bytes that they are.
+    Text (``mode="w"``) is UTF-8, and newlines are written as they are given.
 
     Raises:
         InputError: as :func:`atomic_path`.
     """
-    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": "", "errors": "surrogateescape"}
+    text: dict[str, str] = {} if "b" in mode else {"encoding": "utf-8", "newline": "", "errors": _SPELLED}
     # Plain open() instead of tempfile, whose files nobody else may read.
     with (
         atomic_path(path) as temporary,

@@ -48,8 +48,8 @@ def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
 
     Args:
         path: the file, or the bytes in it.
-        exif: turn the picture upright as its EXIF orientation says. Labels of data sets mostly belong to the pixels as
-            they are stored: read those with False.
+        exif: turn the picture upright as its EXIF orientation says, as everything in jaxfit does; False gives the
+            pixels as they are stored.
 
     Raises:
         ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
@@ -71,29 +71,16 @@ def decode_image(data: bytes, exif: bool = True, source: str | Path = NAMELESS) 
     return _decoded(source, data, cv2.IMREAD_COLOR, exif)
 
 
-def read_upright(path: str | Path | bytes) -> np.ndarray:
+def read_grey(path: str | Path | bytes) -> np.ndarray:
     """The picture in a file, or in the bytes of one, turned upright as its EXIF data say, grey, uint8 (H, W).
 
     Raises:
         ImageError: as `read_image`.
     """
-    return _grey(path, exif=True)
-
-
-def read_grey(path: str | Path) -> np.ndarray:
-    """The picture in a file as it is stored, grey, uint8 (H, W): what labels of data sets belong to.
-
-    Raises:
-        ImageError: as `read_image`.
-    """
-    return _grey(path, exif=False)
-
-
-def _grey(path: str | Path | bytes, exif: bool) -> np.ndarray:
     data, name = _data(path), _name(path)
     if data.startswith(JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
-        return _decoded(name, data, cv2.IMREAD_GRAYSCALE, exif)
-    return to_grey(_decoded(name, data, cv2.IMREAD_COLOR, exif))
+        return _decoded(name, data, cv2.IMREAD_GRAYSCALE, exif=True)
+    return to_grey(_decoded(name, data, cv2.IMREAD_COLOR, exif=True))
 
 
 def _name(path: str | Path | bytes) -> str | Path:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.numbers import number
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import DatasetError, InputError
 
@@ -13,7 +14,8 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
 
     Points ``nan nan``, which are missing, are NaN.
 
-    The header (``version``, ``n_points``, braces) may be missing: then every line is a point ``x y``.
+    The header (``version``, ``n_points``, braces) may be missing: then every line is a point ``x y``. What follows a
+    ``#`` is a comment.
 
     Args:
         path: the file.
@@ -30,12 +32,13 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: cannot be read as text ({_reason(error)})") from error
     declared, points = None, []
-    for number, line in enumerate(lines, 1):
+    for line_number, line in enumerate(lines, 1):
+        line = line.partition("#")[0].strip()
         key, colon, value = line.partition(":")
-        if colon and key.strip().lower() == "n_points":
-            declared = value.strip()
-        elif not colon and line.strip() not in ("", "{", "}"):
-            points.append(_point(path, number, line))
+        if colon and key.strip().isidentifier():  # a line of the header; not "1:5 2", a damaged point
+            declared = value.strip() if key.strip().lower() == "n_points" else declared
+        elif line not in ("", "{", "}"):
+            points.append(_point(path, line_number, line))
     if not points:
         raise DatasetError(f"{path}: expected lines 'x y', found no points")
     if declared is not None and declared != str(len(points)):
@@ -62,14 +65,14 @@ def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
         file.write(f"version: 1\nn_points: {len(points)}\n{{\n{body}}}\n")
 
 
-def _point(path: str | Path, number: int, line: str) -> tuple[float, float]:
+def _point(path: str | Path, line_number: int, line: str) -> tuple[float, float]:
     try:
-        x, y = map(float, line.split())
+        x, y = map(number, line.split())
     except ValueError:
-        raise DatasetError(f"{path}, line {number}: expected two numbers 'x y', found {line.strip()!r}") from None
+        raise DatasetError(f"{path}, line {line_number}: expected two numbers 'x y', found {line!r}") from None
     if not (np.isfinite([x, y]).all() or np.isnan([x, y]).all()):
         expected = "expected finite coordinates, or 'nan nan' for a missing point"
-        raise DatasetError(f"{path}, line {number}: {expected}, found {line.strip()!r}")
+        raise DatasetError(f"{path}, line {line_number}: {expected}, found {line!r}")
     return x, y
 
 

@@ -1,12 +1,13 @@
 """Fitted faces as rows: nested plain values, as JSON lines have them, and flat ones, as tables have them."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Any
 
 import numpy as np
 
+from jaxfit.data.names import table_path, table_word
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
@@ -31,12 +32,14 @@ class Rows:
         modes: number of coefficients of the 3D shape model; None for models without 3D.
         confident: whether the model has a confidence.
         begin: starts an iteration.
+        failures: of writers: pictures of which something could not be written, and why; writers add to it.
     """
 
     scheme: Scheme
     modes: int | None
     confident: bool
     begin: Callable[[], Iterator[Row]]
+    failures: list[tuple[str, str]] = field(default_factory=list, compare=False)
 
     def __iter__(self) -> Iterator[Row]:
         return self.begin()
@@ -94,8 +97,14 @@ def flat_row(row: Row) -> dict[str, Any]:
     return flat
 
 
+def spelled(row: Row) -> Row:
+    """A row with the names of its picture and face as tables spell them, which are valid UTF-8 on one line."""
+    return row | {"image": table_path(row["image"]), "face": table_word(row["face"])}
+
+
 def table_values(name: str, row: Row) -> list[str | float | bool]:
     """The values of a row in the table ``landmarks`` or ``heads``, in the order of its columns."""
+    row = spelled(row)
     if name == "landmarks":
         box = row["box"]
         confidence = [row["confidence"]] if "confidence" in row else []

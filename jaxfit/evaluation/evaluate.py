@@ -2,9 +2,8 @@
 
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,10 @@ import numpy as np
 
 from jaxfit.cascade.model import first_steps
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, jitter, rotation_array
+from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, boxes_of_pictures, jitter, rotation_array
 from jaxfit.data.detectors import Detection, Detector, Search, best_match
 from jaxfit.data.detectors.whole import KIND as WHOLE
-from jaxfit.data.pictures import Read, read_grey, read_image
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.fitting.find import find_faces
@@ -139,8 +138,7 @@ def detected_boxes(
     pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
     names = list(pictures)
     mine = share_of(names)
-    stored = partial(read_image, exif=False)  # what labels belong to
-    found = find_faces([names[number] for number in mine], detector, search=search, read=stored, progress=progress)
+    found = find_faces([names[number] for number in mine], detector, search=search, progress=progress)
     in_pictures: list[list[Detection]] = [[] for _ in pictures]
     found_here = [mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds, found.rotations.tolist()]
     for part in exchanged(found_here):
@@ -158,25 +156,46 @@ def detected_boxes(
     return boxes, kinds, rotations
 
 
-def match_boxes(faces: Sequence[FaceRecord], named: Mapping[str, Sequence[GivenBox]]) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes (N, 4), and rotations (N,) in degrees, from those given by picture name; each box goes to one face at most,
-    the nearest pairs first.
+def match_boxes(
+    faces: Sequence[FaceRecord],
+    named: Mapping[str, Sequence[GivenBox]],
+    folders: Iterable[str | Path] = (),
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Boxes (N, 4) of labelled faces, their kinds, and their rotations (N,) in degrees, from those that a file gives;
+    each box goes to one face at most, the nearest pairs first.
 
-    NaN where none is left for a face: it counts as undetected.
+    NaN, squares and 0 where none is left for a face: it counts as undetected.
+
+    Args:
+        faces: N labelled faces.
+        named: boxes by what the file calls their picture, as ``jaxfit.data.read_boxes`` reads them.
+        folders: that paths in the file may be relative to.
+
+    Raises:
+        InputError: a name may mean several pictures.
     """
+    return share_boxes(faces, boxes_of_pictures(named, [face.image for face in faces], folders)[0])
+
+
+def share_boxes(
+    faces: Sequence[FaceRecord], of_pictures: Mapping[Path, Sequence[GivenBox]]
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """What `match_boxes` gives, from the boxes of each picture."""
     boxes, rotations = np.tile(_NO_BOX, (len(faces), 1)), np.zeros(len(faces))
+    kinds = [SQUARE] * len(faces)
     pictures: dict[Path, list[int]] = {}
     for number, face in enumerate(faces):
         pictures.setdefault(face.image, []).append(number)
     for picture, numbers in pictures.items():
-        given = list(named.get(picture.name, []))
+        given = list(of_pictures.get(picture, []))
         pairs = sorted((_distance(faces[n], each.box), n, k) for n in numbers for k, each in enumerate(given))
         used: set[int] = set()
         for _, number, k in pairs:
             if k not in used and np.isnan(boxes[number]).all():
-                boxes[number], rotations[number] = given[k]
+                boxes[number], rotations[number], kind = given[k]
+                kinds[number] = kind or SQUARE
                 used.add(k)
-    return boxes, rotations
+    return boxes, kinds, rotations
 
 
 def _distance(face: FaceRecord, box: np.ndarray) -> float:
@@ -214,8 +233,7 @@ def evaluate(
             `usual_normaliser`.
         starts: of each face, as in ``jaxfit.fit``.
         passes: as in ``jaxfit.fit``.
-        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads. By default pictures are
-            read as they are stored, as labels mostly belong to stored pixels.
+        read: gets a picture's path and returns it grey, uint8 (H, W); it is called in threads.
         progress: called with the stage's name, faces done and faces in all.
 
     Raises:

@@ -16,6 +16,7 @@ from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.experiments.arrays import Arrays, load_arrays, save_arrays
 from jaxfit.experiments.config import Config, DatasetPlan
+from jaxfit.experiments.names import folder_names
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.aligned import align_labels
 from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
@@ -121,7 +122,7 @@ class Experiment:
         scheme = shared_scheme(datasets)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
         # By the folder's name alone, so that folds do not depend on where the data lie.
-        names = [Path(parse_spec(dataset.spec)[2]).name for dataset, _ in complete]
+        names = folder_names([parse_spec(dataset.spec).path for dataset, _ in complete])
         subjects = tuple(f"{name}/{face.subject}" for name, (_, face) in zip(names, complete, strict=True))
         records = tuple(face for _, face in complete)
         return DatasetFaces(

@@ -38,7 +38,7 @@ class Thumbnails:
         if not self._pictures:
             return None
         try:
-            rgb = read_image(Path(str(self._dataset.faces["image"][number])), exif=False)
+            rgb = read_image(Path(str(self._dataset.faces["image"][number])))
         except ImageError:
             return None
         # Colours come along as a third axis.

@@ -28,7 +28,7 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crop, Crops, cut_face
 from jaxfit.data.detectors import Detector
-from jaxfit.data.pictures import Image, Read, pixels, read_image, read_upright, to_eight_bits, to_grey
+from jaxfit.data.pictures import Image, Read, pixels, read_grey, read_image, to_eight_bits, to_grey
 from jaxfit.data.threads import cores, in_order, reading_threads
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fits import Fits, Problem
@@ -244,7 +244,7 @@ def see(source: Source, detector: Detector | None, read: Read | None) -> Seen:
     if source.boxes is not None and np.isnan(boxes).all():
         return unused._replace(why=NO_BOX)  # not read: nothing would be done with it
     if read is None:
-        read = read_image if searching is not None and searching.colour else read_upright
+        read = read_image if searching is not None and searching.colour else read_grey
     image = source.image
     try:
         picture = to_eight_bits(pixels(image, read))

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.heads.mesh_points import MeshPoints
 
@@ -64,7 +65,7 @@ def _read_obj(file: Path) -> np.ndarray:
     """The vertices (1, V, 3) of a Wavefront file."""
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
-        vertices = np.array([[float(number) for number in line.split()[1:4]] for line in lines if line[:2] == "v "])
+        vertices = np.array([[number(word) for word in line.split()[1:4]] for line in lines if line[:2] == "v "])
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file}: expected a mesh of lines 'v x y z'; {error}") from error
     return _checked(file, vertices[None])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from jaxfit.labels.importers.lfpw import read_lfpw
 from jaxfit.labels.importers.pointing04 import read_pointing04
 from jaxfit.labels.importers.pts_folder import read_pts_folder
 from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.labels.turned import as_seen, noticed
 from jaxfit.schemes.conversions import convert, sources
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.scheme import Scheme
@@ -32,33 +34,52 @@ FORMATS: dict[str, Callable[[Path], Dataset]] = {
 }
 
 
-def parse_spec(spec: str) -> tuple[str, float, str]:
-    """Of ``FORMAT:PATH`` or ``FORMAT+PIXELS:PATH``: the format, by how many pixels labels are moved, and the path.
+class Spec(NamedTuple):
+    """What ``FORMAT:PATH``, ``FORMAT+PIXELS:PATH`` or ``FORMAT@stored:PATH`` says.
+
+    Attributes:
+        format: one of ``FORMATS``.
+        shift: by how many pixels labels are moved.
+        path: of the dataset.
+        stored: whether labels belong to pixels as they are stored, instead of to pictures as they are seen.
+    """
+
+    format: str
+    shift: float
+    path: str
+    stored: bool
+
+
+def parse_spec(spec: str) -> Spec:
+    """The parts of ``FORMAT:PATH``, ``FORMAT+PIXELS:PATH``, ``FORMAT@stored:PATH`` or ``FORMAT@stored+PIXELS:PATH``.
 
     Raises:
         InputError: no path, or an unknown format.
     """
     name, _, path = spec.partition(":")
-    known = re.fullmatch(r"(.+?)([+-][0-9]*\.?[0-9]+)?", name)
+    known = re.fullmatch(r"(.+?)(@stored)?([+-][0-9]*\.?[0-9]+)?", name)
     if not known or known[1] not in FORMATS or not path:
         raise InputError(f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}; got {spec!r}")
-    return known[1], float(known[2] or 0), path
+    return Spec(known[1], float(known[3] or 0), path, known[2] is not None)
 
 
 def read_dataset(spec: str) -> Dataset:
     """The dataset that ``spec``, ``FORMAT:PATH``, names.
 
     ``FORMAT+PIXELS:PATH`` moves the labels right and down by so many pixels when they are read, ``FORMAT-PIXELS:PATH``
-    left and up, so that datasets whose labels count pixels differently can be used together.
+    left and up, so that datasets whose labels count pixels differently can be used together. Labels belong to pictures
+    as they are seen, which EXIF data may turn; those of ``FORMAT@stored:PATH`` belong to the pixels as they are stored,
+    and are turned with their pictures. A problem names pictures that this makes a difference to.
 
     Raises:
         InputError: no path, or an unknown format.
         DatasetError: the dataset is missing, damaged, or has no face that can be used.
     """
-    name, shift, path = parse_spec(spec)
+    name, shift, path, stored = parse_spec(spec)
     found = FORMATS[name](Path(path))
     moved = tuple(replace(face, landmarks=face.landmarks + shift) for face in found.faces) if shift else found.faces
-    return replace(found, faces=moved, spec=spec)
+    dataset = replace(found, faces=moved, spec=spec)
+    return as_seen(dataset) if stored else noticed(dataset, spec, f"{name}@stored{spec[len(name) :]}")
 
 
 def convert_dataset(dataset: Dataset, scheme: Scheme) -> Dataset:

@@ -1,13 +1,14 @@
 """The one record type of all datasets: a face in a picture file, with what is known about it."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
-from jaxfit.errors import DatasetError
+from jaxfit.errors import DatasetError, InputError
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import PoseOrder
 
@@ -78,3 +79,40 @@ def check_pictures(source: Path, faces: Sequence[FaceRecord]) -> None:
             f"{source}: expected pictures of the labelled faces, found none of {len(faces)}, such as "
             f"{faces[0].image}; check the path"
         )
+
+
+def copies_of(tested: Iterable[Path], pictures: Iterable[Path]) -> dict[Path, Path]:
+    """Which ``pictures`` of a dataset are ``tested`` ones, or copies of them, with what each is a copy of.
+
+    A tested picture that is not among them is known by its name: AFLW2000-3D's pictures are AFLW's, cut and scaled,
+    under the same names. Of several of its name, the folders' names tell which it is.
+
+    Raises:
+        InputError: they do not.
+    """
+    # A link in a folder is a picture of its own, as in tables.
+    tested, pictures = dict.fromkeys(tested), dict.fromkeys(pictures)
+    real = {picture: picture.parent.resolve() / picture.name for picture in (*tested, *pictures)}
+    places = {real[picture]: picture for picture in pictures}
+    of_name: dict[str, list[Path]] = {}
+    for place in places:
+        of_name.setdefault(place.name, []).append(place)
+    copies: dict[Path, Path] = {}
+    for picture in tested:
+        place = real[picture]
+        candidates = [place] if place in places else of_name.get(place.name, [])
+        shared = [_shared_end(place, candidate) for candidate in candidates]
+        best = [candidate for candidate, count in zip(candidates, shared, strict=True) if count == max(shared)]
+        if len(best) > 1:
+            raise InputError(
+                f"{picture} is tested, and may be {best[0]} or {best[1]}, which have its name: expected one picture of "
+                "that name, or folders of the same names"
+            )
+        copies |= {places[candidate]: picture for candidate in best}
+    return copies
+
+
+def _shared_end(one: Path, other: Path) -> int:
+    """How many parts two paths share at their ends."""
+    pairs = zip(reversed(one.parts), reversed(other.parts), strict=False)
+    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

@@ -147,8 +147,8 @@ def choose_options(
         how: dict[str, Any] = {"progress": told, "read": read}
         model = train(learned, scheme, method=method, options=setting, axes=shared[fold], **how).model
         boxes = np.concatenate([start_boxes(seen, seed + number) for number in range(_BOXES)])
-        relative = {"normaliser": default_normaliser(scheme)}
-        errors = evaluate(model, seen * _BOXES, boxes, starts=setting.starts, **relative, **how).errors
+        relative = default_normaliser(scheme)
+        errors = evaluate(model, seen * _BOXES, boxes, normaliser=relative, starts=setting.starts, **how).errors
         return np.minimum(errors, LIMIT).reshape(_BOXES, -1).mean(0)
 
     best = given.but(detectors=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))

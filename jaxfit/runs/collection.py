@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
+from jaxfit.data.names import table_path
 from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.fitting.stream import NO_FACE
 from jaxfit.models.files import BUNDLED, bundled, read_named
-from jaxfit.runs.workers import BatchFitter, plain
+from jaxfit.runs.workers import BatchFitter
 
 _COMMAND = "jaxfit collect"
 _TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
@@ -84,7 +85,7 @@ def fit_collection(
     replace_results(out, _COMMAND, ["settings.json", "manifest.parquet"], settings)  # and the parts
     _sweep(parts)
     known = {account.image for account in _accounts(parts)}
-    left = [name for name in wanted if plain(name) not in known]
+    left = [name for name in wanted if table_path(name) not in known]
     if left:
         done = len(wanted) - len(left)
         progress("fitting pictures", done, len(wanted))
@@ -96,7 +97,7 @@ def fit_collection(
                 done += fitted
                 progress("fitting pictures", done, len(wanted))
     _sweep(parts)
-    return _write_manifest(out / "manifest.parquet", parts, map(plain, wanted))
+    return _write_manifest(out / "manifest.parquet", parts, map(table_path, wanted))
 
 
 def _require_ray() -> None:

@@ -10,19 +10,21 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, starmap
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import numpy as np
 
 import jaxfit
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox, read_boxes
+from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
+from jaxfit.data.names import plain, table_path, unique_names
 from jaxfit.data.outputs import (
     MANIFEST,
     atomic_write,
+    not_written,
     replace_results,
     require_own_folder,
     require_same_settings,
@@ -35,10 +37,11 @@ from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fit import passes_from, require_no_search
+from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
 from jaxfit.models.files import DEFAULT_MODEL, load
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 from jaxfit.schemes.scheme import Scheme
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
@@ -51,6 +54,7 @@ _RESULTS = (
     *("problems.csv", "doubtful.csv", "contact-sheet.jpg"),
 )
 _NO_ROW = "no row with this file name in the boxes"
+_OTHER_PATH = "no row with this path in the boxes, only"
 
 
 @dataclass(frozen=True)
@@ -63,8 +67,11 @@ class FolderRun:
         detector: what finds the faces: its name, as in ``jaxfit.detect_faces``; None takes the default one.
         search: how faces are looked for.
         boxes: a CSV file of face boxes with the columns image, x, y, width and height, and rotation if faces are
-            turned, instead of a detector.
-        box_kind: what drew those boxes.
+            turned, instead of a detector; ``landmarks.csv`` of another run is such a file. ``image`` is a path,
+            absolute or relative to the file, to one of ``folders`` or to the working folder; or the end of one, such as
+            a bare file name, where only one picture's path ends so.
+        folders: that the pictures were found in.
+        box_kind: what drew those boxes; None takes what the file's column box says, and squares where it says nothing.
         starts: of each face.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
@@ -81,7 +88,8 @@ class FolderRun:
     detector: str | None = None
     search: Search = field(default_factory=Search)
     boxes: str | Path | None = None
-    box_kind: str = SQUARE
+    folders: tuple[str | Path, ...] = ()
+    box_kind: str | None = None
     starts: Starts = field(default_factory=Starts)
     refine: bool = False
     formats: tuple[str, ...] = DEFAULT_FORMATS
@@ -97,13 +105,15 @@ class FolderRun:
             for name in ("model", "boxes")
             if (path := Path(getattr(self, name) or "")).is_file()
         }
-        names = "\0".join(map(str, pictures)).encode("utf-8", "surrogateescape")
+        # Absolute, too: the same names in another working folder are other pictures.
+        names = b"\0".join(os.fsencode(name) for path in pictures for name in (path, path.absolute()))
         return {
             "jaxfit": jaxfit.__version__,
             "model": str(self.model),
             "detector": self.detector,
             "search": vars(self.search),
             "box_kind": self.box_kind,
+            "folders": list(map(str, self.folders if self.boxes else ())),
             "starts": vars(self.starts),
             "refine": self.refine,
             "overlays": self.overlays,
@@ -166,9 +176,10 @@ def fit_folder(
     """
     out = Path(run.out)
     model = load(run.model)
-    pipeline, boxes = _pipeline(run, model)
+    pipeline, named = _pipeline(run, model)
     # Overlays of a run before this one are no pictures to fit.
     files = [path for path in map(Path, pictures) if out.absolute() not in path.absolute().parents]
+    boxes, unused = _boxes_of(run, named, files)
     unfinished = out / _UNFINISHED
     if run.overwrite:
         shutil.rmtree(unfinished, ignore_errors=True)
@@ -180,14 +191,14 @@ def fit_folder(
     except InputError as error:
         raise InputError(f"{error}, or overwrite to begin anew") from None
     chunks = _Chunks(unfinished)
-    resumed = _fit_missing(run, pipeline, boxes, files, chunks, progress)
+    resumed = _fit_missing(run, pipeline, boxes, unused, files, chunks, progress)
     modes = None if model.space_3d is None else model.space_3d.modes
     fitted = Rows(model.scheme, modes, model.confidence is not None, chunks.faces)
     rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
-    problems = list(chunks.problems())
-    write_csv(out / "problems.csv", ["image", "problem"], problems)
+    problems = [*chunks.problems(), *starmap(Unfit, rows.failures)]
+    write_csv(out / "problems.csv", ["image", "problem"], ((table_path(path), plain(why)) for path, why in problems))
     if run.min_confidence is not None:
         below = fitted.only(lambda row: row["confidence"] < run.min_confidence)
         values = ([table_text(value) for value in table_values("landmarks", row)] for row in below)
@@ -202,7 +213,6 @@ def fit_folder(
     replace_results(out, _COMMAND, _files(out, written), run.settings(files), others)
     written.append(MANIFEST)
     shutil.rmtree(unfinished)
-    unused = sorted(set(boxes or ()) - {path.name for path in files})
     paths = tuple(out / name for name in written)
     return FolderReport(len(files), resumed, ok.total(), ok[False], tuple(problems), tuple(unused), paths)
 
@@ -240,10 +250,10 @@ def _files(out: Path, written: Sequence[str]) -> Iterator[str]:
             yield name
 
 
-_Boxes = Mapping[str, Sequence[GivenBox]]
+_Boxes = Mapping[Path, Sequence[GivenBox]]
 
 
-def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
+def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, Mapping[str, Sequence[GivenBox]] | None]:
     """How pictures are fitted, and the boxes of the file, if there is one; wrong settings stop before the work."""
     if run.refine:
         require_refinable(model)
@@ -258,21 +268,33 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _Boxes | None]:
     if run.min_confidence is not None and model.confidence is None:
         raise InputError("expected a model with a confidence, for a least confidence; this one has none")
     if run.boxes is None:
-        if run.box_kind != SQUARE:
+        if run.box_kind is not None:
             raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
         detector = detector_named(run.detector or DEFAULT_DETECTOR, run.search)
         return Pipeline(model, detector, run.starts, passes_from(detector)), None
     if run.detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
     require_no_search(run.search)
-    model.placement(run.box_kind)
-    return Pipeline(model, starts=run.starts), read_boxes(run.boxes)
+    return Pipeline(model, starts=run.starts), read_known_boxes(run.boxes, run.box_kind, model)
+
+
+def _boxes_of(
+    run: FolderRun, named: Mapping[str, Sequence[GivenBox]] | None, files: Sequence[Path]
+) -> tuple[_Boxes | None, list[str]]:
+    """The boxes of each picture, None if they are looked for, and the names in the file that no picture has."""
+    if named is None or run.boxes is None:
+        return None, []
+    try:
+        return boxes_of_pictures(named, files, (Path(run.boxes).parent, *run.folders))
+    except InputError as error:
+        raise InputError(f"{run.boxes}: {error}") from None
 
 
 def _fit_missing(
     run: FolderRun,
     pipeline: Pipeline,
     boxes: _Boxes | None,
+    unused: Sequence[str],
     files: Sequence[Path],
     chunks: "_Chunks",
     progress: Progress,
@@ -281,9 +303,10 @@ def _fit_missing(
     model = pipeline.model
     overlays = _make_folder(Path(run.out) / "overlays") if run.overlays else None
     labels = list(unique_names(files))
+    elsewhere = {PurePath(name).name: name for name in unused}
     slices = [slice(first, first + _CHUNK) for first in range(0, len(files), _CHUNK)]
     missing = [number for number in range(len(slices)) if not chunks.has(number)]
-    sources = ([_source(path, boxes, run.box_kind) for path in files[slices[number]]] for number in missing)
+    sources = ([_source(path, boxes) for path in files[slices[number]]] for number in missing)
     left = sum(len(files[slices[number]]) for number in missing)
     done_before = len(files) - left
 
@@ -296,32 +319,26 @@ def _fit_missing(
             fits = refine(model, fits) if run.refine else fits
             rows = list(fits.rows(labels[some], problems=True))
             if boxes is not None:  # of pictures without any row that is said
-                rows = [row if "face" in row else row | {PROBLEM: _NO_ROW} for row in rows]
+                rows = [row if "face" in row else row | {PROBLEM: _no_row(row["image"], elsewhere)} for row in rows]
             if overlays is not None:
                 rows += _draw(overlays, model.scheme, files[some], labels[some], rows)
             chunks.put(number, rows)
     return done_before
 
 
-def _source(path: Path, boxes: _Boxes | None, kind: str) -> Source:
+def _no_row(image: str, elsewhere: Mapping[str, str]) -> str:
+    """That there is no box for a picture, and which row of the same file name there is ``elsewhere``."""
+    other = elsewhere.get(PurePath(image).name)
+    return _NO_ROW if other is None else f"{_OTHER_PATH} {other}"
+
+
+def _source(path: Path, boxes: _Boxes | None) -> Source:
     if boxes is None:
         return Source(path, str(path))
-    given = boxes.get(path.name, [])
+    given = boxes.get(path, [])
     array = np.array([each.box for each in given]).reshape(-1, 4)
-    return Source(path, str(path), array, (kind,) * len(given), np.array([each.rotation for each in given]))
-
-
-def unique_names(pictures: Sequence[Path]) -> Iterator[str]:
-    """What the results of each picture are called: its stem, numbered where several pictures share it."""
-    taken: set[str] = set()
-    numbers: dict[str, int] = {}
-    for picture in pictures:
-        stem = name = picture.stem
-        while name in taken:
-            numbers[stem] = numbers.get(stem, 1) + 1
-            name = f"{stem}-{numbers[stem]}"
-        taken.add(name)
-        yield name
+    kinds = tuple(each.kind for each in given)
+    return Source(path, str(path), array, kinds, np.array([each.rotation for each in given]))
 
 
 def _draw(
@@ -334,15 +351,18 @@ def _draw(
             faces.setdefault(row["image"], []).append(row)
 
     def draw(picture: Path, label: str) -> list[Row]:
+        path = folder / f"{label}.jpg"
         try:
             canvas = read_image(picture)
             for number, row in enumerate(faces[str(picture)], 1):
                 canvas = draw_row(canvas, row, scheme)
                 name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
                 canvas = draw_name(canvas, name, box_of(row), row["ok"])
-            write_image(folder / f"{label}.jpg", canvas)
+            write_image(path, canvas)
         except ImageError as error:
             return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]
+        except (OSError, InputError) as error:
+            return [{"image": str(picture), PROBLEM: not_written(path, error)}]
         return []
 
     work: Iterator[Callable[[], list[Row]]] = (

@@ -12,6 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.names import table_path
 from jaxfit.data.pictures import NAMELESS, kind_of
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
@@ -91,7 +92,7 @@ def _pictures(batch: Any) -> tuple[list[str], list[Path | bytes]]:
         raise InputError(f"expected a column of files, image or path; got {', '.join(map(str, batch)) or 'no column'}")
     column = "image" if "image" in batch else "path"
     given = [_file(column, name) for name in batch[column]]
-    names = list(map(plain, given))
+    names = list(map(table_path, given))
     if "bytes" not in batch:
         return names, [Path(name) for name in given]
     return names, [_bytes(data) for data in batch["bytes"]]
@@ -114,11 +115,6 @@ def _bytes(data: Any) -> bytes:
     if isinstance(data, bytes | bytearray | memoryview | None):
         return bytes(data or b"")
     raise InputError(f"expected what is in the pictures' files in the column bytes; got {kind_of(data)}")
-
-
-def plain(name: str) -> str:
-    """The name of a file as it stands in tables, which take text only."""
-    return name.encode("utf-8", "backslashreplace").decode()
 
 
 @cache

@@ -47,6 +47,13 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(
     assert not (tmp_path / "out.safetensors").exists()
 
 
+def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    for option, value in {"--score": "0_1", "--starts": "1_1", "--smallest": "４０"}.items():
+        with pytest.raises(SystemExit):
+            main(["fit", "a.jpg", "--out", "out", option, value])
+        assert f"argument {option}: invalid" in capsys.readouterr().err
+
+
 def test_a_reader_who_has_seen_enough_is_no_error() -> None:
     reading, writing = os.pipe()
     os.close(reading)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from csv_files import read_csv, write_boxes
+from csv_files import labelled_box, read_csv, write_boxes
 from drawn_heads import unlabelled
 
 import jaxfit
@@ -176,6 +176,27 @@ def test_boxes_of_ones_own_take_the_place_of_the_datasets(
     assert "does not know" not in capsys.readouterr().out
     own, given, squares = ((tmp_path / name / "faces.csv").read_text() for name in "abc")
     assert own == given != squares
+
+
+def test_boxes_of_pictures_of_one_name(
+    drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, face in (("a", "face000"), ("b", "face001")):
+        (tmp_path / name).mkdir()
+        for suffix in (".png", ".pts"):
+            (tmp_path / name / f"001{suffix}").write_bytes((drawn / f"{face}{suffix}").read_bytes())
+    boxes = {f"{name}/001.png": labelled_box(tmp_path / name / "001.png") for name in "ab"}
+    table = write_boxes(tmp_path / "boxes.csv", {**boxes, "c/001.png": (1, 2, 3, 4)})
+    evaluate = ["evaluate", str(drawn_model), "--normaliser", "box", "--out", str(tmp_path / "out"), "--data"]
+    evaluate += [f"pts:{tmp_path / 'a'}", f"pts:{tmp_path / 'b'}", "--boxes"]
+    assert main([*evaluate, str(table)]) == 0
+    found = [
+        [float(row[side]) for side in ("x", "y", "width", "height")] for row in read_csv(tmp_path / "out" / "faces.csv")
+    ]
+    np.testing.assert_allclose(found, list(boxes.values()), atol=1e-3)
+    assert "rows for pictures that were not given: 1, such as c/001.png" in capsys.readouterr().err
+    assert main([*evaluate, str(write_boxes(table, {"001.png": (1, 2, 3, 4)}))]) == 2
+    assert f"may mean {tmp_path}/a/001.png or {tmp_path}/b/001.png" in capsys.readouterr().err
 
 
 def test_reports_of_2d_models_have_no_poses(

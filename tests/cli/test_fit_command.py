@@ -60,11 +60,16 @@ def test_options_make_a_run(asked: list[tuple[FolderRun, list[Path]]], drawn: Pa
     main(fit)
     main([*fit, "--detector", "whole", "--no-overlays", "--contact-sheet", "--overwrite", "--format", "coco", "csv"])
     main([*fit, "--boxes", "b.csv", "--box-kind", "dlib", "--refine", "--starts", "5", "--rotations", "-30", "40"])
-    usual = FolderRun("out", "fast68")
+    usual = FolderRun("out", "fast68", folders=(str(drawn),))
     assert [run for run, _ in asked] == [
         usual,
-        FolderRun(
-            "out", "fast68", "whole", formats=("coco", "csv"), overlays=False, contact_sheet=True, overwrite=True
+        replace(
+            usual,
+            detector="whole",
+            formats=("coco", "csv"),
+            overlays=False,
+            contact_sheet=True,
+            overwrite=True,
         ),
         replace(usual, boxes="b.csv", box_kind="dlib", starts=Starts(5, -30.0, 40.0), refine=True),
     ]

@@ -77,21 +77,23 @@ def test_boxes_are_refused_with_a_reason(box, reason, channels):
     assert (problem is None) if reason is None else (reason in problem)
 
 
-def test_boxes_are_read_by_file_name(tmp_path):
+def test_boxes_are_read_by_what_the_file_calls_the_picture(tmp_path):
     path = tmp_path / "boxes.csv"
     path.write_text(
         '\ufeffwidth,image,x,score,y,height\r\n3,a.jpg,1,.9,2,4\r\n1,"b,c.jpg",0,,0,1\n-7,/x/a.jpg,5,,6e0,8\n'
     )
     boxes = read_boxes(path)
-    assert list(boxes) == ["a.jpg", "b,c.jpg"]
-    np.testing.assert_array_equal([given.box for given in boxes["a.jpg"]], [[1, 2, 3, 4], [5, 6, -7, 8]])
+    assert list(boxes) == ["a.jpg", "b,c.jpg", "/x/a.jpg"]
+    np.testing.assert_array_equal([given.box for given in boxes["/x/a.jpg"]], [[5, 6, -7, 8]])
     assert boxes["b,c.jpg"][0].box.dtype == np.float64
-    assert [given.rotation for given in boxes["a.jpg"]] == [0, 0]
+    assert [(given.rotation, given.kind) for given in boxes["a.jpg"]] == [(0, "")]
 
 
-def test_boxes_may_say_how_faces_are_turned(tmp_path):
-    (tmp_path / "boxes.csv").write_text("image,x,y,width,height,rotation\na.jpg,1,2,3,4,-30.5\na.jpg,1,2,3,4,0\n")
-    assert [given.rotation for given in read_boxes(tmp_path / "boxes.csv")["a.jpg"]] == [-30.5, 0]
+def test_boxes_may_say_how_faces_are_turned_and_what_drew_them(tmp_path):
+    rows = "image,box,x,y,width,height,rotation\na.jpg,yunet,1,2,3,4,-30.5\na.jpg,,1,2,3,4,0\n"
+    (tmp_path / "boxes.csv").write_text(rows)
+    boxes = read_boxes(tmp_path / "boxes.csv")["a.jpg"]
+    assert [(given.rotation, given.kind) for given in boxes] == [(-30.5, "yunet"), (0, "")]
 
 
 @pytest.mark.parametrize(
@@ -100,6 +102,7 @@ def test_boxes_may_say_how_faces_are_turned(tmp_path):
         ("", "line 1: expected the columns"),
         ("image,x,y,w,h\n", "line 1: .*no width, height"),
         ("image,x,y,width,height\na,1,2,3,4\nb,1,2,three,4\n", "line 3: .*three"),
+        ("image,x,y,width,height\na,1,2,3,4_5\n", "line 2: .*4_5"),
         ("image,x,y,width,height\na,1,2\n", "line 2"),
         ("image,x,y,width,height\na,1,2,3,\n", "line 2"),
         ("image,x,y,width,height\n,1,2,3,4\n", "line 2: .*file name"),

@@ -118,7 +118,7 @@ def test_a_picture_turned_by_quarters_tells_where_the_face_is_in_it():
 def portraits(real_dataset):
     """Grey pictures and the bounding squares of their faces."""
     faces = real_dataset("pts:lfpw68").faces[::27]
-    return [(to_grey(read_image(face.image, exif=False)), bounding_square(face.landmarks)) for face in faces]
+    return [(to_grey(read_image(face.image)), bounding_square(face.landmarks)) for face in faces]
 
 
 @pytest.mark.parametrize("name", ["yunet", "haar"])
@@ -204,7 +204,7 @@ def test_profiles_are_found_on_both_sides(real_dataset):
     faces = [face for face in real_dataset("aflw:aflw").faces if 60 < abs(face.pose[2]) < 90][:60:2]
     found = {"left": 0, "right": 0}
     for face in faces:
-        grey = to_grey(read_image(face.image, exif=False))
+        grey = to_grey(read_image(face.image))
         match = best_match(detect_faces(grey, "haar"), bounding_square(face.landmarks))
         found["left" if face.pose[2] > 0 else "right"] += match is not None and match.kind == "haar-profile"
     assert min(found.values()) >= 3

@@ -1,17 +1,21 @@
-"""The sizes that headers promise, against the sizes that OpenCV decodes."""
+"""The sizes and orientations that headers promise, against those that OpenCV decodes."""
 
 # What may be None or has many types in the library has one here, which the assertions show.
 # mypy: disable-error-code="call-arg,union-attr"
 
 import struct
+import zlib
+from collections.abc import Callable
 
 import cv2
 import numpy as np
 import pytest
+from exif_files import TURNS
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.data.headers import stored_size
+from jaxfit.data.headers import exif_orientation, stored_size
+from jaxfit.data.pictures import decode_image
 
 LOSSLESS_WEBP = (cv2.IMWRITE_WEBP_QUALITY, 101)
 WAYS = [
@@ -64,3 +68,56 @@ def test_other_files_promise_nothing(data: bytes) -> None:
 def test_damaged_headers_raise_nothing(way: tuple, kept: int, noise: bytes) -> None:
     size = stored_size(encoded(*way, (9, 9, 3))[:kept] + noise)
     assert size is None or min(size) >= 0
+
+
+def _exif_of(orientation: int, order: str) -> bytes:
+    start = b"II*\0" if order == "<" else b"MM\0*"
+    return start + struct.pack(f"{order}IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
+
+
+def _png(exif: bytes, late: bool) -> bytes:
+    png = cv2.imencode(".png", PICTURE)[1].tobytes()
+    chunk = struct.pack(">I", len(exif)) + b"eXIf" + exif + struct.pack(">I", zlib.crc32(b"eXIf" + exif))
+    at = len(png) - 12 if late else 33
+    return png[:at] + chunk + png[at:]
+
+
+def _webp(exif: bytes, late: bool) -> bytes:
+    frame = cv2.imencode(".webp", PICTURE, (cv2.IMWRITE_WEBP_QUALITY, 101))[1].tobytes()[12:]
+    height, width = PICTURE.shape[:2]
+    canvas = struct.pack("<I", 8) + (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    body = b"WEBPVP8X" + struct.pack("<I", 10) + canvas + frame + b"EXIF" + struct.pack("<I", len(exif)) + exif
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def _tiff(exif: bytes, late: bool) -> bytes:
+    order, orientation = ("<" if exif.startswith(b"II") else ">"), exif[18:20]
+    height, width = PICTURE.shape[:2]
+    values = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: 8, 274: 0, 277: 1, 278: height, 279: width * height}
+    entries = b"".join(
+        struct.pack(f"{order}HHI", tag, 3, 1)
+        + (orientation if tag == 274 else struct.pack(f"{order}H", value))
+        + b"\0\0"
+        for tag, value in values.items()
+    )
+    head = exif[:4] + struct.pack(f"{order}I", 8 + width * height) + PICTURE[..., 0].tobytes()
+    return head + struct.pack(f"{order}H", len(values)) + entries + b"\0" * 4
+
+
+PICTURE = np.random.default_rng(0).integers(0, 256, (6, 10, 3), np.uint8)
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("made", [_png, _webp, _tiff])
+def test_orientations_are_those_that_pictures_are_read_by(
+    made: Callable[[bytes, bool], bytes], late: bool, order: str
+) -> None:
+    plain = decode_image(made(_exif_of(1, order), late))
+    for orientation, turn in TURNS.items():
+        data = made(_exif_of(orientation, order), late)
+        assert exif_orientation(data) == orientation
+        np.testing.assert_array_equal(decode_image(data), turn(plain))
+        for cut in range(0, len(data), 7):
+            assert 1 <= exif_orientation(data[:cut]) <= 8
+    assert exif_orientation(made(_exif_of(9, order), late)) == 1

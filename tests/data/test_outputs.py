@@ -77,3 +77,8 @@ def test_a_folder_belongs_to_the_command_that_wrote_to_it(tmp_path):
     assert not (tmp_path / "films").exists()
     with pytest.raises(InputError, match=r"holds results of `jaxfit track` of 20.*use another --out"):
         require_own_folder(tmp_path, "jaxfit evaluate")
+
+
+def test_text_is_valid_utf_8_whatever_names_are_in_it(tmp_path):
+    write_csv(tmp_path / "table.csv", ["image"], [[os.fsdecode(b"\xe9 n\xc3\xa9.jpg")], ["\ud800"]])
+    assert (tmp_path / "table.csv").read_text(encoding="utf-8") == "image\n\\xe9 né.jpg\n\\ud800\n"

@@ -38,6 +38,8 @@ def test_text_survives_reading_and_writing(tmp_path_factory, points, base):
         "version:1\nN_POINTS : 2\n{\n\n 1\t2 \n3 4.5\n}",
         "1 2\n3 4.5\n",
         "1.0 2.0\n3e0 4.5",
+        "# by hand: 2020\n"
+        + HEADER.replace("3 4.5", "# eyes\n3 4.5 # the left: one").replace("points: 2", "points: 2 # all"),
     ],
 )
 def test_spellings_of_the_same_points(tmp_path, text):
@@ -53,6 +55,9 @@ def test_spellings_of_the_same_points(tmp_path, text):
         (HEADER.replace("3 4.5", "3 four"), "line 5.*'3 four'"),
         (HEADER.replace("3 4.5", "3"), "line 5"),
         (HEADER.replace("3 4.5", "nan 1"), "line 5.*finite"),
+        (HEADER.replace("3 4.5", "3 4_5"), "line 5.*'3 4_5'"),
+        (HEADER.replace("3 4.5", "３ 4.5"), "line 5.*'３ 4.5'"),
+        ("1 2\n3:4.5 1\n", "line 2.*'3:4.5 1'"),
         ("nan nan\nnan nan\n", "none that is not missing"),
         (HEADER.replace("3 4.5", "1 inf"), "line 5.*finite"),
         ("version: 1\nn_points: 0\n{\n}\n", "no points"),

@@ -101,9 +101,20 @@ def test_names_of_files_may_be_no_text(name: str, tmp_path: Path) -> None:
     if name == "parquet":
         pytest.importorskip("pyarrow")
     odd = os.fsdecode(b"\xe9t\xe9")
-    assert WRITERS[name](tmp_path, rows_of([PLAIN[0] | {"image": f"{odd}.jpg", "face": odd}]))
-    if name == "csv":
-        assert b"\xe9t\xe9.jpg" in (tmp_path / "landmarks.csv").read_bytes()
+    (file,) = WRITERS[name](tmp_path, rows_of([PLAIN[0] | {"image": f"={odd}.jpg", "face": odd}]))
+    if (tmp_path / file).is_file() and name != "parquet":
+        text = (tmp_path / file).read_text(encoding="utf-8")
+        assert r"./=\xe9t\xe9.jpg" in text.replace(r"\\", "\\")  # JSON doubles backslashes once more
+
+
+@pytest.mark.parametrize("blocked", [True, False])
+def test_what_cannot_be_written_belongs_to_its_picture(blocked: bool, tmp_path: Path) -> None:
+    rows = rows_of(PLAIN)
+    if blocked:
+        (tmp_path / "pts" / f"{PLAIN[0]['face']}.pts").mkdir(parents=True)
+    assert WRITERS["pts"](tmp_path, rows) == ["pts"]
+    assert [image for image, why in rows.failures if "cannot write" in why] == [PLAIN[0]["image"]] * blocked
+    assert (tmp_path / "pts" / f"{PLAIN[-1]['face']}.pts").is_file()
 
 
 @pytest.mark.parametrize("name", WRITERS)

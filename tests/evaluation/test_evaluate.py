@@ -54,18 +54,20 @@ def test_faces_without_landmarks_start_from_their_own_boxes() -> None:
     boxes = start_boxes(faces)
     np.testing.assert_array_equal(boxes[:3], [box, np.full(4, np.nan), box])
     np.testing.assert_array_equal(boxes[3], start_boxes([record(SQUARE)])[0])
-    boxes, rotations = match_boxes(faces[:1], {"a.png": [GivenBox(box + 1, 20.0)]})
+    boxes, kinds, rotations = match_boxes(faces[:1], {"a.png": [GivenBox(box + 1, 20.0, "whole")]})
     np.testing.assert_array_equal(boxes, [box + 1])
-    assert rotations.tolist() == [20.0]
+    assert (kinds, rotations.tolist()) == (["whole"], [20.0])
 
 
 def test_each_box_goes_to_one_face() -> None:
     left, right = record(SQUARE), record(SQUARE + [50, 0])
     box_left, box_right = bounding_square(SQUARE), bounding_square(SQUARE + [48, 0])
-    both, rotations = match_boxes([left, right], {"a.png": [GivenBox(box_right, 10.0), GivenBox(box_left, -5.0)]})
+    both, kinds, rotations = match_boxes(
+        [left, right], {"a.png": [GivenBox(box_right, 10.0), GivenBox(box_left, -5.0)]}
+    )
     np.testing.assert_array_equal(both, [box_left, box_right])
-    assert rotations.tolist() == [-5.0, 10.0]
-    one, _ = match_boxes([left, right], {"a.png": [GivenBox(box_right, 0.0)]})
+    assert (kinds, rotations.tolist()) == (["square"] * 2, [-5.0, 10.0])
+    one, _, _ = match_boxes([left, right], {"a.png": [GivenBox(box_right, 0.0)]})
     assert np.isnan(one[0]).all()
     np.testing.assert_array_equal(one[1], box_right)
     assert np.isnan(match_boxes([left], {"b.png": [GivenBox(box_left, 0.0)]})[0]).all()

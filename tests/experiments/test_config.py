@@ -10,6 +10,7 @@ from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError
 from jaxfit.experiments.config import config_from, read_config
+from jaxfit.experiments.names import folder_names
 from jaxfit.learning.methods import view_of
 
 TEXT = """
@@ -169,3 +170,12 @@ def test_the_documented_configuration_is_one() -> None:
 def test_the_thesis_is_compared_with_only_where_a_dataset_names_it() -> None:
     assert config_from(tomllib.loads(TEXT)).names_thesis
     assert not config_from(changed('thesis = "AFLW"', "")).names_thesis
+
+
+def test_folders_of_one_name_hold_other_people() -> None:
+    assert folder_names(["a/train", "b/train/", "c", "a/train", "a//train"]) == [
+        "train",
+        "train-2",
+        "c",
+        *["train"] * 2,
+    ]

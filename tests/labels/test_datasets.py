@@ -9,7 +9,7 @@ import pytest
 from jaxfit.data.pts import write_pts
 from jaxfit.errors import InputError
 from jaxfit.labels.datasets import convert_dataset, read_dataset
-from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.labels.records import Dataset, FaceRecord, copies_of
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW29
 
 
@@ -75,3 +75,29 @@ def test_a_converted_point_is_known_and_seen_where_all_its_sources_are():
 def test_labels_that_cannot_be_converted_name_their_dataset():
     with pytest.raises(InputError, match="aflw:folder: cannot convert landmarks from aflw21 to lfpw29; known"):
         convert_dataset(Dataset("aflw:folder", AFLW21, ()), LFPW29)
+
+
+@pytest.mark.parametrize(
+    ("tested", "pictures", "copies"),
+    [
+        (["t/1.jpg"], ["a/1.jpg", "a/2.jpg"], {"a/1.jpg": "t/1.jpg"}),
+        (["a/1.jpg"], ["a/1.jpg", "b/1.jpg"], {"a/1.jpg": "a/1.jpg"}),  # a picture is no copy of one beside it
+        (["t/b/1.jpg"], ["a/1.jpg", "b/1.jpg"], {"b/1.jpg": "t/b/1.jpg"}),
+        (
+            ["t/a/1.jpg", "t/b/1.jpg"],
+            ["x/a/1.jpg", "x/b/1.jpg", "x/c/1.jpg"],
+            {"x/a/1.jpg": "t/a/1.jpg", "x/b/1.jpg": "t/b/1.jpg"},
+        ),
+        (["t/1.jpg"], ["a/1.jpg", "b/1.jpg"], "t/1.jpg is tested, and may be .*a/1.jpg or .*b/1.jpg"),
+        (["t/1.jpg"], [], {}),
+    ],
+)
+def test_pictures_of_a_test_are_known_by_their_paths_or_names(
+    tested: list[str], pictures: list[str], copies: dict[str, str] | str
+) -> None:
+    if isinstance(copies, str):
+        with pytest.raises(InputError, match=copies):
+            copies_of(map(Path, tested), map(Path, pictures))
+    else:
+        found = copies_of(map(Path, tested), map(Path, pictures))
+        assert {str(picture): str(of) for picture, of in found.items()} == copies

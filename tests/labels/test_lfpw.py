@@ -58,6 +58,7 @@ def test_two_faces_of_one_picture_stay_apart_but_share_the_subject(tmp_path):
     ("bad", "reason"),
     [
         (lfpw_row("b.jpg", chin_x="x"), "line 3: expected numbers"),
+        (lfpw_row("b.jpg", chin_x="1_5"), "line 3: expected numbers"),
         (lfpw_row("b.jpg", chin_x=""), "line 3: expected numbers"),
         (lfpw_row("b.jpg", chin_y="nan"), "line 3: expected finite"),
         (lfpw_row("b.jpg", chin_t="4"), "line 3: expected numbers"),

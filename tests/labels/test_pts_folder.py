@@ -80,3 +80,11 @@ def test_folders_without_faces(tmp_path):
     (tmp_path / "damaged.pts").write_text("not points")
     with pytest.raises(DatasetError, match=r"first problem: .*damaged"):
         read_pts_folder(tmp_path)
+
+
+def test_of_several_pictures_of_a_face_the_first_is_taken_and_said(tmp_path):
+    write_pts_face(tmp_path, "a")
+    (tmp_path / "a.png").touch()
+    dataset = read_pts_folder(tmp_path)
+    assert [face.image.name for face in dataset.faces] == ["a.jpg"]
+    assert dataset.problems == (f"{tmp_path / 'a.pts'}: a.jpg and a.png have its name; the first is taken",)

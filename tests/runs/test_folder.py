@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -144,16 +145,28 @@ def test_pictures_of_one_name_have_results_of_different_names(run: FolderRun, dr
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "same.png").write_bytes((drawn / "face000.png").read_bytes())
-    table = write_boxes(tmp_path / "boxes.csv", {"same.png": (35, 35, 50, 50)})
-    fit_folder(replace(run, boxes=table), [tmp_path / "a" / "same.png", tmp_path / "b" / "same.png"])
-    out = Path(run.out)
+    boxes = {"a/same.png": (35, 35, 50, 50), "b/same.png": (37, 33, 52, 52)}
+    table, out = write_boxes(tmp_path / "boxes.csv", boxes), Path(run.out)
+    pictures = [tmp_path / name for name in boxes]
+    assert fit_folder(replace(run, boxes=table), pictures).faces == 2
+    rows = read_csv(out / "landmarks.csv")
+    found = {Path(row["image"]): [float(row[side]) for side in ("x", "y", "width", "height")] for row in rows}
+    assert found == {picture: list(box) for picture, box in zip(pictures, boxes.values(), strict=True)}
     assert {path.name for path in (out / "pts").iterdir()} == {"same_1.pts", "same-2_1.pts"}
     assert {path.name for path in (out / "overlays").iterdir()} == {"same.jpg", "same-2.jpg"}
-
-
-def test_names_of_results_are_unique_whatever_the_pictures_are_called() -> None:
-    paths = [Path(name) for name in ("a/x.png", "b/x.png", "x-2.png", "c/x.jpg", "d/x-2.png", "y.png")]
-    assert list(folder.unique_names(paths)) == ["x", "x-2", "x-2-2", "x-3", "x-2-3", "y"]
+    # What was written does for boxes: the same faces again.
+    again = replace(run, boxes=out / "landmarks.csv", out=tmp_path / "again")
+    assert fit_folder(again, pictures).problems == ()
+    assert read_csv(tmp_path / "again" / "landmarks.csv") == rows
+    # One picture alone does not get the other's box; a name that may mean both is refused.
+    alone = fit_folder(replace(run, boxes=write_boxes(table, {"a/same.png": (35, 35, 50, 50)})), pictures[1:])
+    assert alone.problems[0].why == "no row with this path in the boxes, only a/same.png"
+    assert alone.unused == ("a/same.png",)
+    bare = replace(run, boxes=write_boxes(table, {"same.png": (35, 35, 50, 50)}))
+    with pytest.raises(InputError, match=rf"'same.png' may mean {pictures[0]} or {pictures[1]}"):
+        fit_folder(bare, pictures)
+    # Relative to a folder that was given it is one of them.
+    assert fit_folder(replace(bare, folders=(tmp_path / "a",)), pictures).faces == 1
 
 
 def test_all_faces_of_a_picture_are_fitted(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
@@ -323,6 +336,17 @@ def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: P
     assert not (out / "heads.csv").exists()
 
 
+def test_other_pictures_of_the_same_names_are_other_settings(
+    run: FolderRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    digests = []
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        digests.append(run.settings([Path("001.png")])["pictures' names"])
+    assert digests[0] != digests[1]
+
+
 def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> None:
     _fit_until(replace(run, overlays=False), pictures[:4], 0)
     with pytest.raises(InputError, match="overlays: false there, true here"):
@@ -381,21 +405,51 @@ def test_a_detector_finds_the_faces_where_there_are_no_boxes(run: FolderRun, dra
     assert [row["box"] for row in read_csv(Path(run.out) / "landmarks.csv")] == ["whole"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="names of files are text elsewhere")
-def test_names_of_files_need_not_be_text(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are not any bytes elsewhere")
+def test_no_name_of_a_picture_spoils_a_run(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
-    odd = os.fsencode(tmp_path / "odd")
-    os.mkdir(odd)
-    for name, data in ((b"\xe9t\xe9.png", (drawn / "face000.png").read_bytes()), (b"\xff.png", b"")):
-        with open(os.path.join(odd, name), "wb") as file:
-            file.write(data)
-    formats = ("csv", "jsonl", "coco", "parquet")
-    model = replace(run, model="fast68", boxes=None, detector="whole", formats=formats)
-    report = fit_folder(model, find_images([tmp_path / "odd"]))
-    assert report.faces == 1
+    good, odd = (drawn / "face000.png").read_bytes(), tmp_path / "odd"
+    long = b"l" * 251 + b".png"
+    names = (
+        b"\xe9t\xe9.png",
+        long,
+        b"l" * 250 + b"!.png",
+        b"=1+1.png",
+        b"-rf.png",
+        b"new\nline.png",
+        b"c:\\..\\up.png",
+    )
+    odd.mkdir()
+    for name in (*names, b"\xff.png"):
+        Path(os.fsdecode(os.path.join(os.fsencode(odd), name))).write_bytes(b"" if name == b"\xff.png" else good)
     out = Path(run.out)
-    assert b"\xe9t\xe9.png,\xe9t\xe9_1," in (out / "landmarks.csv").read_bytes()
-    assert b"\xff.png,the file is empty" in (out / "problems.csv").read_bytes()
+    (out / "pts" / "_-rf_1.pts").mkdir(parents=True)  # what cannot be written is a problem of its picture alone
+    (out / "overlays" / "new_line.jpg").mkdir(parents=True)
+    whole = replace(run, boxes=None, detector="whole", formats=tuple(WRITERS), model="fast68")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(odd)
+        report = fit_folder(whole, find_images(["."]))
+        assert report.faces == len(names)
+        rows, problems = read_csv(out / "landmarks.csv"), read_csv(out / "problems.csv")
+        assert {row["image"] for row in rows} == {
+            *(r"\xe9t\xe9.png", os.fsdecode(long), "l" * 250 + "!.png", "./=1+1.png", "./-rf.png"),
+            *(r"new\x0aline.png", r"c:\\..\\up.png"),
+        }
+        assert {row["image"]: row["problem"].split(":")[0] for row in problems} == {
+            r"\xff.png": "the file is empty",
+            "./-rf.png": f"cannot write {out / 'pts' / '_-rf_1.pts'}",
+            r"new\x0aline.png": f"cannot write {out / 'overlays' / 'new_line.jpg'}",
+        }
+        # All tables say the same, in valid UTF-8, and do for boxes.
+        for table in ("landmarks.csv", "problems.csv", "faces.jsonl", "keypoints.json"):
+            (out / table).read_text(encoding="utf-8")
+        lines = (out / "faces.jsonl").read_text(encoding="utf-8").splitlines()
+        assert [json.loads(line)["image"] for line in lines] == [row["image"] for row in rows]
+        for file in os.listdir(out / "pts"):
+            assert re.fullmatch(r"[\w.!=+-]+", file, re.ASCII), file
+        again = replace(whole, boxes=out / "landmarks.csv", detector=None, out=tmp_path / "again", formats=("csv",))
+        assert fit_folder(again, find_images(["."])).unused == ()
+    assert {row["image"] for row in read_csv(tmp_path / "again" / "landmarks.csv")} == {row["image"] for row in rows}
 
 
 def test_doubtful_faces_stand_apart_if_so_wished(

@@ -6,6 +6,7 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
+from jaxfit.data.names import table_path
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.rows import Row, Rows
 from jaxfit.schemes.scheme import Scheme
@@ -44,7 +45,7 @@ def _numbered(rows: Rows) -> Iterator[tuple[int, bool, Row]]:
 def _images(rows: Rows) -> Iterator[dict[str, Any]]:
     for number, first, row in _numbered(rows):
         if first:
-            yield {"id": number, "file_name": row["image"], **row["size"]}
+            yield {"id": number, "file_name": table_path(row["image"]), **row["size"]}
 
 
 def _annotations(rows: Rows) -> Iterator[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 from jaxfit.data.outputs import atomic_path
 from jaxfit.data.rows import FLAGS, TEXTS, Rows, table_values
@@ -31,7 +30,7 @@ def write_parquet(folder: Path, rows: Rows) -> list[str]:
             values = (table_values(name, row) for row in rows)
             while some := list(islice(values, _ROWS)):
                 by_column = zip(zip(*some, strict=True), types, strict=True)
-                arrays = [_array(column, type_) for column, (_, type_) in by_column]
+                arrays = [pa.array(column, type_) for column, (_, type_) in by_column]
                 writer.write_batch(pa.record_batch(arrays, schema=schema))
     return names
 
@@ -46,11 +45,3 @@ def require_pyarrow() -> None:
         import pyarrow  # noqa: F401
     except ImportError:
         raise InputError('Parquet needs pyarrow, which is not installed: pip install "jaxfit[parquet]"') from None
-
-
-def _array(values: tuple[str | float | bool, ...], type_: Any) -> Any:
-    """A column; what is not UTF-8 in names of files becomes question marks."""
-    import pyarrow as pa
-
-    plain = [value.encode("utf-8", "replace").decode() if isinstance(value, str) else value for value in values]
-    return pa.array(plain, type_)

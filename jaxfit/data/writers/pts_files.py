@@ -4,13 +4,19 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.outputs import not_written
 from jaxfit.data.pts import write_pts
 from jaxfit.data.rows import Rows
+from jaxfit.errors import InputError
 
 
 def write_pts_files(folder: Path, rows: Rows) -> list[str]:
-    """``pts/FACE.pts``, counted from 1."""
+    """``pts/FACE.pts``, counted from 1; a file that cannot be written is a failure of its picture."""
     (folder / "pts").mkdir(exist_ok=True)
     for row in rows:
-        write_pts(folder / "pts" / f"{row['face']}.pts", np.array(row["landmarks"]))
+        path = folder / "pts" / f"{row['face']}.pts"
+        try:
+            write_pts(path, np.array(row["landmarks"]))
+        except (OSError, InputError) as error:
+            rows.failures.append((row["image"], not_written(path, error)))
     return ["pts"]

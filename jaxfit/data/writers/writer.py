@@ -7,7 +7,10 @@ from jaxfit.data.rows import Rows
 
 
 class Writer(Protocol):
-    """Writes results in one format. One row at a time is in memory; files are written whole or not at all."""
+    """Writes results in one format. One row at a time is in memory; files are written whole or not at all.
+
+    What cannot be written of one picture is added to the rows' ``failures``, and does not stop the others.
+    """
 
     def __call__(self, folder: Path, rows: Rows) -> list[str]:
         """Write into a folder.

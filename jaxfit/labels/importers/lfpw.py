@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
 from jaxfit.schemes.known import LFPW29, LFPW29_NAMES
@@ -86,7 +87,7 @@ def _record(row: _Row, folder: Path, several: bool) -> FaceRecord:
     if not row.name:
         raise DatasetError(f"{row.where}: the row names no picture")
     try:
-        x, y = (np.array([float(row.cells[f"{name}_{axis}"]) for name in LFPW29_NAMES]) for axis in "xy")
+        x, y = (np.array([number(row.cells[f"{name}_{axis}"]) for name in LFPW29_NAMES]) for axis in "xy")
         states = [_STATES.index(row.cells[f"{name}_t"].strip()) for name in LFPW29_NAMES]
     # AttributeError and TypeError: a short row has None in its last cells.
     except (ValueError, TypeError, AttributeError):

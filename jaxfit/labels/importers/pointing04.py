@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
 from jaxfit.schemes.known import NO_LANDMARKS
@@ -79,7 +80,7 @@ def _read_box(path: Path) -> np.ndarray:
         raise DatasetError(f"{path}: cannot be read as text ({error})") from error
     try:
         _, label, *numbers = words
-        x, y, width, height = map(float, numbers)
+        x, y, width, height = map(number, numbers)
     except ValueError:
         label, x, y, width, height = "", *[np.nan] * 4
     if label != "Face" or not np.isfinite([x, y, width, height]).all() or min(width, height) <= 0:

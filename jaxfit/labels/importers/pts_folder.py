@@ -15,6 +15,7 @@ from jaxfit.schemes.known import scheme_of_count
 
 def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
+    Of several such pictures the first by name is taken, which is reported.
 
     All faces have the number of points that most files have; files that cannot be used become problems. Points
     ``nan nan`` are missing; a point at (0, 0) or (-1, -1) is a point.
@@ -32,9 +33,16 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     if not folder.is_dir():
         raise DatasetError(f"{folder}: expected a folder of .pts files with their pictures, found none; check the path")
     files = sorted(path for path in folder.iterdir() if path.is_file())
-    # Reversed, so that of several pictures of one stem the first by name stays.
-    pictures = {path.stem: path for path in reversed(files) if path.suffix.lower() in READABLE_SUFFIXES}
+    pictures: dict[str, list[Path]] = {}
+    for path in files:
+        if path.suffix.lower() in READABLE_SUFFIXES:
+            pictures.setdefault(path.stem, []).append(path)
     found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
+    problems += [
+        f"{path}: {pictures[path.stem][0].name} and {pictures[path.stem][1].name} have its name; the first is taken"
+        for path in found
+        if len(pictures.get(path.stem, ())) > 1
+    ]
     if not found:
         told = f"; first problem: {problems[0]}" if problems else ""
         expected = "expected .pts files, each with a picture of the same name beside it"
@@ -46,7 +54,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if len(landmarks) != count
     ]
     faces = tuple(
-        _record(pictures.get(path.stem, path.with_suffix(".jpg")), landmarks)
+        _record(pictures.get(path.stem, [path.with_suffix(".jpg")])[0], landmarks)
         for path, landmarks in found.items()
         if len(landmarks) == count
     )

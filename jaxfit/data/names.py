@@ -1,0 +1,123 @@
+"""Names of pictures: how tables spell them, what their results are called, and which picture a name in a table means.
+
+Paths are the only names that tell pictures of several folders apart. A name of a file may be almost any bytes, a table
+may not: see `plain`.
+"""
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from functools import cache
+from pathlib import Path, PurePath
+
+from jaxfit.errors import InputError
+
+# Bytes that are not UTF-8 (Python has surrogates for them), control characters, and what some programs take for line
+# ends. Where a backslash is no separator it is doubled, so that no two names are spelled the same.
+_ODD = re.compile("[\ud800-\udfff\x00-\x1f\x7f-\x9f\u2028\u2029]" + (r"|\\" if os.sep == "/" else ""))
+# What spreadsheets begin a formula with: a table that is opened there must not run what a file is called. A space or a
+# quote before it, the usual cure, would change the name; the cures here do not: "./=1.jpg" is the path of "=1.jpg".
+_FORMULA = ("=", "+", "-", "@")
+# What some system does not allow in names of files, or takes for a separator.
+_UNPORTABLE = re.compile('[\ud800-\udfff\x00-\x1f\x7f-\x9f\u2028\u2029\\\\/:*?"<>|]')
+_LONGEST = 200  # bytes of a result's name; file systems mostly allow 255, numbers and suffixes included
+
+
+def plain(name: str) -> str:
+    r"""A name as tables spell it, which is always valid UTF-8 on one line, and never the spelling of another name.
+
+    A byte that is not UTF-8 and a control character become ``\xe9`` and ``\x0a``, a line separator ``\u2028``, and a
+    backslash of a system where it does not separate folders ``\\``.
+    """
+    return _ODD.sub(_escape, name)
+
+
+def _escape(found: re.Match[str]) -> str:
+    if found[0] == "\\":
+        return r"\\"
+    code = ord(found[0])
+    if 0xDC80 <= code <= 0xDCFF:  # Python's surrogate of a byte that is not UTF-8
+        return f"\\x{code - 0xDC00:02x}"
+    return f"\\x{code:02x}" if code < 0x80 else f"\\u{code:04x}"
+
+
+def table_path(path: str | PurePath) -> str:
+    """The path of a file as tables spell it: `plain`, and after ``./`` if it began like a formula or an option."""
+    text = plain(str(path))
+    return f"./{text}" if text.startswith(_FORMULA) else text
+
+
+def table_word(word: str) -> str:
+    """Another name, such as a person's, as tables spell it: `plain`, and after ``_`` if it began like a formula."""
+    text = plain(word)
+    return f"_{text}" if text.startswith(_FORMULA) else text
+
+
+def unique_names(pictures: Iterable[PurePath]) -> Iterator[str]:
+    """What the results of each picture are called: its stem, numbered where several pictures share it.
+
+    Names are good names of files on all systems: what is not becomes ``_``, long ones are cut, and none differ by case
+    only.
+    """
+    taken: set[str] = set()
+    numbers: dict[str, int] = {}
+    for picture in pictures:
+        stem = name = _portable(picture.stem)
+        while name.casefold() in taken:
+            numbers[stem] = numbers.get(stem, 1) + 1
+            name = f"{stem}-{numbers[stem]}"
+        taken.add(name.casefold())
+        yield name
+
+
+def _portable(stem: str) -> str:
+    name = _UNPORTABLE.sub("_", stem)
+    name = f"_{name}" if name.startswith(_FORMULA) else name
+    return name.encode()[:_LONGEST].decode(errors="ignore")
+
+
+def pictures_named(
+    names: Iterable[str], pictures: Iterable[Path], folders: Iterable[str | Path] = ()
+) -> dict[str, list[Path]]:
+    """Which pictures names in a table mean, by name; those that mean none are left out.
+
+    A name is a path: absolute, or relative to one of ``folders`` or to the working folder. If no picture is there, it
+    is the end of a path, such as a bare file name, as long as only one picture's path ends so. Separators may be those
+    of Windows, and names may be spelled as they are or as in tables of jaxfit.
+
+    Args:
+        names: from a table.
+        pictures: that may be meant; one that comes under several paths is one picture.
+        folders: that paths may be relative to.
+
+    Raises:
+        InputError: a name may mean several pictures.
+    """
+    places: dict[str, list[Path]] = {}
+    by_name: dict[str, list[str]] = {}
+    real = cache(os.path.realpath)  # without links to folders; a link to a picture is a picture of its own
+    for picture in dict.fromkeys(pictures):
+        name = plain(picture.name)
+        place = os.path.join(plain(real(picture.parent)), name)
+        if place not in places:
+            by_name.setdefault(name, []).append(place)
+        places.setdefault(place, []).append(picture)
+    bases = [plain(real(base)) for base in dict.fromkeys([*map(str, folders), "."])]
+    found = {}
+    for name in dict.fromkeys(names):
+        for spelling in dict.fromkeys([name, plain(name), name.strip(), name.strip().replace("\\", "/")]):
+            path = os.path.normpath(spelling)
+            folder, file = os.path.split(path)
+            there = {os.path.join(real(os.path.join(base, folder)), file) for base in bases}
+            meant = there.intersection(places) or {
+                place for place in by_name.get(file, ()) if place.endswith(os.sep + path)
+            }
+            if len(meant) > 1:
+                some = [str(places[place][0]) for place in sorted(meant)][:2]
+                raise InputError(
+                    f"{name!r} may mean {some[0]} or {some[1]}; expected a name of one picture: give more of its path"
+                )
+            if meant:
+                found[name] = places[meant.pop()]
+                break
+    return found
