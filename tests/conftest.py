@@ -32,7 +32,7 @@ SLOW_FILES = {
     *("test_devices", "test_export", "test_find", "test_fit", "test_stream", "test_track"),
     *("test_alignment", "test_camera_asm", "test_dense", "test_disturb", "test_sift_laws"),
     *("test_bundled_3d", "test_parametric68", "test_conversions", "test_lifting"),
-    *("test_detectors", "test_evaluate", "test_plots"),
+    *("test_datasets", "test_detectors", "test_evaluate", "test_plots", "test_turned"),
 }
 
 

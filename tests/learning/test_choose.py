@@ -12,7 +12,7 @@ import jaxfit
 from jaxfit.errors import InputError
 from jaxfit.learning import choose as choosing
 from jaxfit.learning.choose import Chosen, choose_options, default_candidates
-from jaxfit.schemes.known import AFLW21, NO_LANDMARKS
+from jaxfit.schemes.known import AFLW21
 
 CANDIDATES = {"windows": [(0.01, 0.01)], "ridge": [1e6, 0.1]}
 
@@ -133,5 +133,3 @@ def test_faces_that_cannot_be_chosen_by_are_refused_before_the_work(heads, monke
         choose_options(heads, AFLW21, options=OPTIONS, folds=1)
     with pytest.raises(InputError, match="number of subjects, 1"):
         choose_options([replace(face, subject="one") for face in heads], AFLW21, options=OPTIONS)
-    with pytest.raises(InputError, match="no normaliser 'outer'"):
-        choose_options(heads, NO_LANDMARKS, options=OPTIONS)
