@@ -126,6 +126,7 @@ def sources_of(
     for each in {*kinds}:
         model.placement(each)
     array, turned = box_array(boxes, count), rotation_array(rotations, count)
+    # The caller holds the pictures, so that no two have one id.
     identities = [str(image) if isinstance(image, str | Path) else id(image) for image in images]
     sources = []
     for _, numbers in groupby(range(count), identities.__getitem__):

@@ -73,16 +73,22 @@ bilinear_grid.defjvp(_moved_grid, symbolic_zeros=True)
 
 
 def _interpolate_rows(picture: Picture, y: Float[Array, "rows"]) -> Float[Array, "rows width"]:
-    top, share = split(y, picture.shape[0])
-    upper = picture.at[top].get(mode="promise_in_bounds")
-    lower = picture.at[top + 1].get(mode="promise_in_bounds")
-    return upper + share[:, None] * (lower - upper)
+    upper, lower, share = _rows_around(picture, y)
+    return upper + share * (lower - upper)
 
 
 def _slopes_of_rows(picture: Picture, y: Float[Array, "rows"]) -> Float[Array, "rows width"]:
     """How ``_interpolate_rows`` changes with ``y``: not at all outside the picture."""
-    height = picture.shape[0]
-    top, _ = split(y, height)
+    upper, lower, _ = _rows_around(picture, y)
+    inside = (y >= 0) & (y <= picture.shape[0] - 1)
+    return jnp.where(inside[:, None], lower - upper, 0.0)
+
+
+def _rows_around(
+    picture: Picture, y: Float[Array, "rows"]
+) -> tuple[Float[Array, "rows width"], Float[Array, "rows width"], Float[Array, "rows 1"]]:
+    """The lines of pixels before and after each ``y``, and how far it lies towards the second."""
+    top, share = split(y, picture.shape[0])
     upper = picture.at[top].get(mode="promise_in_bounds")
     lower = picture.at[top + 1].get(mode="promise_in_bounds")
-    return jnp.where((y >= 0) & (y <= height - 1), 1.0, 0.0)[:, None] * (lower - upper)
+    return upper, lower, share[:, None]

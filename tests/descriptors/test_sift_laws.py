@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from scipy import ndimage
 
 from jaxfit.descriptors.descriptor import describe_point
-from jaxfit.descriptors.sift import Prepared, Sift
+from jaxfit.descriptors.sift import Prepared, Sift, _sums_of_cells
 from jaxfit.errors import InputError
 from jaxfit.image.sampling import pack
 
@@ -91,6 +91,17 @@ def test_a_flat_picture_has_an_empty_descriptor(orientation, normalisation, poin
     for value in (0, 1, 77, 200, 255):
         crop = np.full((SIZE, SIZE), value, np.uint8)
         np.testing.assert_array_equal(describe(crop, point, 24, orientation, normalisation), 0)
+
+
+def test_what_a_sample_adds_to_its_cell_and_bin_is_all_that_it_adds():
+    """The sums have a rule of their own for gradients."""
+    rng = np.random.default_rng(0)
+    weights, bins = rng.normal(size=(4, 4, 8)).astype(np.float32), rng.integers(0, 8, (32, 32)).astype(np.int32)
+    row, column = np.indices((32, 32)) // 8
+    slopes = jax.grad(lambda samples: jnp.sum(weights.reshape(16, 8) * _sums_of_cells(samples, jnp.asarray(bins))))(
+        jnp.zeros((32, 32))
+    )
+    np.testing.assert_array_equal(slopes, weights[row, column, bins])
 
 
 SOME_OPTIONS = [("upright", "cell"), ("principal", "vector"), ("face", "root")]

@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from jax import numpy as jnp
 from scipy import ndimage
 
 from jaxfit.image.sampling import bilinear, bilinear_grid, pack
@@ -72,6 +73,24 @@ def test_the_gradient_is_the_slope_of_the_cell():
     left, top = np.floor(x), np.floor(y)
     np.testing.assert_allclose(dx, oracle(left + 1, y) - oracle(left, y), atol=1e-2)
     np.testing.assert_allclose(dy, oracle(x, top + 1) - oracle(x, top), atol=1e-2)
+
+
+@pytest.mark.parametrize("kind", ["inside", "around", "far away"])
+def test_gradients_of_the_grid_are_those_of_all_pairs(kind):
+    """The grid has a rule of its own for them; on the borders of cells any of two slopes would do."""
+    x, y = points(kind)
+    weights = np.random.default_rng(3).normal(size=(len(y), len(x))).astype(np.float32)
+
+    def pairs(picture, x, y):
+        columns, rows = jnp.meshgrid(x, y)
+        return unpacked(picture, columns, rows)
+
+    grid, expected = (
+        jax.jit(jax.grad(lambda *inputs, f=f: jnp.sum(weights * f(*inputs)), (0, 1, 2)))(PICTURE, x, y)
+        for f in (bilinear_grid, pairs)
+    )
+    for ours, theirs in zip(grid, expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=2e-2)
 
 
 @pytest.mark.parametrize("kind", KINDS)
