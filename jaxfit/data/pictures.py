@@ -307,7 +307,7 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     In folders, pictures are known by their names or by how they begin. What cannot be read is in the list too, folders
     within folders included: `read_image` says what is wrong with it. What is named twice comes once. Hidden files and
     folders in folders are left out. A path that does not exist may be a pattern, such as ``photos/*.jpg`` or
-    ``photos/**/*.jpg``.
+    ``photos/**/*.jpg``; folders that it looks into and that cannot be read are in the list.
 
     Args:
         paths: files, folders and patterns.
@@ -320,8 +320,10 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     found: list[Path] = []
     for path in map(Path, paths):
         matches = [path] if os.path.exists(path) else sorted(map(Path, glob(str(path), recursive=True)))
-        if not matches:
+        closed = [] if matches == [path] else _closed_folders(path)
+        if not matches and not closed:
             raise InputError(_absent(path))
+        found += closed  # whose pictures the pattern may mean
         for match in matches:
             if match.is_dir() and (match == path or recursive):
                 found += _pictures_in(match, recursive)
@@ -330,6 +332,12 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
             elif not match.is_dir():
                 found.append(match)
     return list(dict.fromkeys(found))
+
+
+def _closed_folders(pattern: Path) -> list[Path]:
+    """The folders that a pattern looks into and that cannot be read."""
+    looked_into = (folder for part in pattern.parents for folder in map(Path, glob(str(part), recursive=True)))
+    return sorted({folder for folder in looked_into if folder.is_dir() and _listing_problem(folder)})
 
 
 def _absent(path: Path) -> str:

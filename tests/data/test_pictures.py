@@ -390,6 +390,9 @@ def test_folders_that_cannot_be_read_are_said(tmp_path, rgb, monkeypatch):
         read_image(tmp_path / "open" / "closed")
     with pytest.raises(InputError, match=r"closed: the folder cannot be read \(Permission denied\)"):
         find_images([tmp_path / "open" / "closed"])
+    for pattern in ("open/*/*.png", "open/**/*.png", "op*/cl*/*.png"):  # which would look into it
+        assert tmp_path / "open" / "closed" in find_images([tmp_path / pattern]), pattern
+    assert find_images([tmp_path / "open" / "*.png"]) == [tmp_path / "open" / "a.png"]
     (tmp_path / "outer" / "inner").mkdir(parents=True)
     with pytest.raises(InputError, match=r"no pictures in .*--recursive"):
         find_images([tmp_path / "outer"])
