@@ -300,8 +300,10 @@ def _folders(folder: Path) -> Target:
                             path.touch()
                         case b"g":
                             pattern = name or "*"
+                        case b"t":
+                            path.write_bytes(step)
                         case _:
-                            path.write_bytes(picture if len(name) % 3 else step)
+                            path.write_bytes(picture)
             found = []
             for paths in ([root], [root / pattern], [root / "**" / pattern]):
                 with contextlib.suppress(JaxfitError):

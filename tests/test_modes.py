@@ -104,7 +104,8 @@ def test_a_real_fork_ends_with_a_sentence(drawn_model: Path) -> None:
 
 @pytest.mark.parametrize("platform", ["nosuch", "cuda", "tpu"])
 def test_a_platform_that_is_not_there_is_one_sentence(platform: str, drawn_model: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "jaxfit", "fit", tmp_path, "--model", drawn_model, "--out", tmp_path / "out"]
+    request = ["fit", str(tmp_path), "--model", str(drawn_model), "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "jaxfit", *request]
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n")
     environment = os.environ | {"JAX_PLATFORMS": platform}
     ran = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)

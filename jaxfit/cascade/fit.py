@@ -22,6 +22,7 @@ from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Scalar
 # Few, as they wait for each other; several, as a single one does not fill the processor's vectors.
 _ALIGNED_AT_ONCE = 4
 _FAR = 1e4  # pixels, many crops
+_Given = UInt8[Array, "faces height width"] | UInt8[np.ndarray, "faces height width"]
 
 
 class Descent(NamedTuple):
@@ -101,7 +102,7 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
 
 def fit_crops(
     cascade: Cascade,
-    crops: UInt8[Array, "faces height width"],
+    crops: _Given,
     starts: Starts = Starts(),
     passes: int = 1,
 ) -> Float[Array, "faces landmarks 2"]:
@@ -192,7 +193,7 @@ class Heads(NamedTuple):
 
 def fit_heads(
     cascade: Cascade,
-    crops: UInt8[Array, "faces height width"],
+    crops: _Given,
     starts: Starts = Starts(),
     passes: int = 1,
     aligned: ShapeSpace3D | None = None,

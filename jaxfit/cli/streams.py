@@ -61,7 +61,7 @@ def lasting_streams() -> Iterator[_Lasting]:
             os.open(os.devnull, os.O_RDWR)
     before = sys.stdout, sys.stderr
     out, errors = (_Lasting(_open(stream)) for stream in before)
-    sys.stdout, sys.stderr = out, errors  # type: ignore[assignment]
+    sys.stdout, sys.stderr = out, errors
     try:
         yield out
     finally:

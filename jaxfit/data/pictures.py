@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
-from glob import glob
+from glob import escape, glob
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
@@ -319,7 +319,7 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        matches = [path] if os.path.exists(path) else sorted(map(Path, glob(str(path), recursive=True)))
+        matches = [path] if os.path.exists(path) else sorted(map(Path, _matches(str(path))))
         closed = [] if matches == [path] else _closed_folders(path)
         if not matches and not closed:
             raise InputError(_absent(path))
@@ -334,9 +334,28 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     return list(dict.fromkeys(found))
 
 
+def _matches(pattern: str) -> set[str]:
+    """What a pattern stands for; ``**`` goes through folders as deep as they are, and once round where links lead in
+    circles."""
+    before, deep, after = pattern.partition("**")
+    if not deep or not (before.endswith(os.sep) or not before) or not (after.startswith(os.sep) or not after):
+        return {*glob(pattern)}
+    found: set[str] = set()
+    for top in glob(before) if before else [os.curdir]:
+        visited: set[str] = set()
+        for place, folders, _ in os.walk(top, followlinks=True):
+            if (real := os.path.realpath(place)) in visited:
+                folders.clear()
+                continue
+            visited.add(real)
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            found |= _matches(escape(place) + (after or f"{os.sep}*"))
+    return found
+
+
 def _closed_folders(pattern: Path) -> list[Path]:
     """The folders that a pattern looks into and that cannot be read."""
-    looked_into = (folder for part in pattern.parents for folder in map(Path, glob(str(part), recursive=True)))
+    looked_into = (folder for part in pattern.parents for folder in map(Path, _matches(str(part))))
     return sorted({folder for folder in looked_into if folder.is_dir() and _listing_problem(folder)})
 
 

@@ -20,7 +20,7 @@ def picture_digest(grey: np.ndarray) -> int:
     A copy that was shrunk, cut or stored as JPEG again has other pixels, and another digest.
     """
     digest = hashlib.blake2b(repr(grey.shape).encode(), digest_size=_BYTES)
-    digest.update(np.ascontiguousarray(grey))
+    digest.update(np.ascontiguousarray(grey).data)
     return int.from_bytes(digest.digest(), "little")
 
 

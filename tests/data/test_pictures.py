@@ -392,6 +392,9 @@ def test_folders_that_cannot_be_read_are_said(tmp_path, rgb, monkeypatch):
         find_images([tmp_path / "open" / "closed"])
     for pattern in ("open/*/*.png", "open/**/*.png", "op*/cl*/*.png"):  # which would look into it
         assert tmp_path / "open" / "closed" in find_images([tmp_path / pattern]), pattern
+    through_links = {path.resolve() for path in find_images([tmp_path / "open" / "**" / "*.png"])}
+    assert through_links == {path.resolve() for path in find_images([tmp_path / "open"], recursive=True)}
+    assert len(find_images([tmp_path / "open" / "**" / "**" / "a.png"])) < 9  # links that lead in circles
     assert find_images([tmp_path / "open" / "*.png"]) == [tmp_path / "open" / "a.png"]
     (tmp_path / "outer" / "inner").mkdir(parents=True)
     with pytest.raises(InputError, match=r"no pictures in .*--recursive"):

@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def test_all_that_is_written_and_drawn_agrees(portrait: np.ndarray, tmp_path: Pa
     assert fits.ok.tolist() == [True, False, False]
     assert "2 doubtful" in repr(fits)
 
-    how = {"boxes": tmp_path / "boxes.csv", "formats": ("csv", "jsonl"), "contact_sheet": True}
+    how: dict[str, Any] = {"boxes": tmp_path / "boxes.csv", "formats": ("csv", "jsonl"), "contact_sheet": True}
     report = jaxfit.fit_folder(jaxfit.FolderRun(out=tmp_path / "out", **how), files)
     assert (report.faces, report.doubtful) == (3, 2)
     with (tmp_path / "out" / "landmarks.csv").open() as table:
@@ -83,7 +84,7 @@ def test_all_that_is_written_and_drawn_agrees(portrait: np.ndarray, tmp_path: Pa
         with (tmp_path / "sure" / f"{name}.csv").open() as table:
             assert sorted(Path(row["image"]).stem for row in csv.DictReader(table)) == faces
 
-    detectors = {name: Boxes(each) for name, each in boxes.items()}
+    detectors: dict[str, Any] = {name: Boxes(each) for name, each in boxes.items()}
     service = Service({"face68": model}, detectors)
     answers = [service.fit(path.read_bytes(), "face68", path.stem)["faces"] for path in files]
     service.close()
