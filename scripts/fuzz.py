@@ -335,7 +335,7 @@ def _arrays(folder: Path) -> Target:
         "f4",
         "f8",
         "c8",
-        "?1",
+        "?",
         "S3",
         "U2",
         "M8[s]",

@@ -481,7 +481,7 @@ def require_several(images: Images) -> None:
         InputError: as `several`.
     """
     if isinstance(images, np.ndarray | jax.Array):
-        if images.ndim == 2 or (images.ndim == 3 and images.shape[-1] in (3, 4)):
+        if images.ndim in (0, 2) or (images.ndim == 3 and images.shape[-1] in (3, 4)):
             raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
         return
     if isinstance(images, str | os.PathLike):

@@ -307,7 +307,8 @@ def test_pictures_come_in_anything_that_has_an_order(rgb):
         assert [image.shape for image in several(images)] == [rgb.shape] * 2
     assert several(map(str, [1])) == ["1"]
     assert several([Path("a"), bytearray(b"b")]) == [Path("a"), b"b"]
-    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), rgb, jnp.asarray(rgb), "a.jpg", Path("a.jpg"), b"a"):
+    arrays = (rgb, jnp.asarray(rgb), np.array(5), jnp.array(5))
+    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), *arrays, "a.jpg", Path("a.jpg"), b"a"):
         with pytest.raises(InputError, match="expected a sequence of images"):
             several(wrong)
     with pytest.raises(InputError, match=r"got torch\.Tensor"):
