@@ -18,7 +18,7 @@ class DatasetError(JaxfitError):
 
 
 class ProcessError(JaxfitError):
-    """Another of the processes that work together ended, or cannot be reached."""
+    """Another of the processes that work together ended or cannot be reached, or this one was forked."""
 
 
 class ModelError(JaxfitError):

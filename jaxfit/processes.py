@@ -25,6 +25,7 @@ from jax.errors import JaxRuntimeError
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from jaxfit.errors import InputError, ProcessError
+from jaxfit.modes import require_jax
 
 T = TypeVar("T")
 
@@ -105,6 +106,7 @@ def require_alone(work: str) -> None:
     Raises:
         InputError: there are several.
     """
+    require_jax()
     if jax.process_count() > 1:
         raise InputError(f"{work} is not shared between processes; expected one, got {jax.process_count()}")
 

@@ -93,7 +93,7 @@ def cases(folder: Path) -> dict[str, Callable[[], str]]:
     newer = made("newer.safetensors", bundled.read_bytes().replace(b'\\"format\\": 1,', b'\\"format\\": 9,'))
 
     def evaluates(model: object, data: object, *more: str) -> Callable[[], str]:
-        return lambda: _said("evaluate", str(model), "--data", str(data), "--out", str(folder / "out"), *more)
+        return lambda: _said("evaluate", str(model), "--data", str(data), "--out", str(folder / "evaluated"), *more)
 
     return {
         "picture: not a picture": fits(made("text.jpg", b"hello")),
@@ -176,7 +176,7 @@ def _other_scheme(folder: Path, picture: np.ndarray, points: np.ndarray) -> Call
     labels.mkdir()
     write_image(labels / "face.png", picture)
     write_pts(labels / "face.pts", points[:29])
-    return lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(folder / "out"))
+    return lambda: _said("evaluate", "sdm68", "--data", f"pts:{labels}", "--out", str(folder / "evaluated"))
 
 
 def _portrait(folder: Path) -> Path:

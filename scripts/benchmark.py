@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -89,12 +89,13 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
     first = next(iter(models.values()))
     predictor, missing = rival(arguments, first, scheme, faces)
 
-    errors = {}
+    errors: dict[str, np.ndarray] = {}
+    learned: dict[str, np.ndarray | None] = {}
     problems: list[str] = []
     with Bars() as bars:
         for name, model in models.items():
             result = jaxfit.evaluate(model, faces, boxes, scheme=scheme, normaliser=arguments.normaliser, progress=bars)
-            errors[name] = result.errors
+            errors[name], learned[name] = result.errors, result.learned
             problems += [f"{name}: {problem}" for problem in result.fits.problems]
     if predictor:
         truth = np.stack([face.landmarks for face in faces])
@@ -138,7 +139,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
         f"of {min(3, arguments.repetitions)}; first results of {FIRSTS} processes, one after the other."
     )
     add_speeds(report, rows, missing, first)
-    add_errors(report, errors, names, faces, arguments.normaliser)
+    add_errors(report, errors, learned, names, faces, arguments.normaliser)
     report.add(*stages)
 
 
@@ -381,7 +382,12 @@ def add_speeds(report: Report, rows: Sequence[dict[str, Any]], missing: str, mod
 
 
 def add_errors(
-    report: Report, errors: dict[str, np.ndarray], names: list[str], faces: Sequence[FaceRecord], normaliser: str
+    report: Report,
+    errors: dict[str, np.ndarray],
+    learned: Mapping[str, np.ndarray | None],
+    names: list[str],
+    faces: Sequence[FaceRecord],
+    normaliser: str,
 ) -> None:
     """Each method's errors, and how those of ours differ from the rival's."""
     of_faces = np.array(names)
@@ -389,9 +395,14 @@ def add_errors(
     if len(groups) > 1:
         groups["all"] = np.ones(len(names), bool)
     subjects = np.array([f"{name}/{face.subject}" for name, face in zip(names, faces, strict=True)])
+
+    def of_group(method: str, group: np.ndarray) -> np.ndarray | None:
+        known = learned.get(method)
+        return None if known is None else known[group]
+
     report.table(
         [
-            {"dataset": name, "method": method, **summary_row(found[group], subjects[group])}
+            {"dataset": name, "method": method, **summary_row(found[group], subjects[group], of_group(method, group))}
             for name, group in groups.items()
             for method, found in errors.items()
         ],

@@ -17,11 +17,12 @@ from report import ERROR_COLUMNS, Report, dataset_names, error_row, measure, scr
 import jaxfit
 from jaxfit.cli.arguments import add_datasets, read_datasets, seed
 from jaxfit.data.boxes import bounding_square, jitter
-from jaxfit.data.pictures import GreyPictures
+from jaxfit.data.pictures import GreyPictures, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.models.digests import DigestingReader
 
 RIVAL = "dlib"
 
@@ -48,7 +49,8 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
         errors = measured(models, dataset, arguments.dlib_model, arguments.seed)
         subjects = [face.subject for face in complete(dataset)]
         others = [next(iter(errors))] + [RIVAL] * (RIVAL in errors)
-        add_comparison(report, f"{name}, {len(subjects)} faces", "model", errors, others, subjects)
+        learned = {each: count_learned(model, dataset) for each, model in models.items()}
+        add_comparison(report, f"{name}, {len(subjects)} faces", "model", errors, others, subjects, learned)
 
 
 def complete(dataset: Dataset) -> list[FaceRecord]:
@@ -60,6 +62,14 @@ def complete(dataset: Dataset) -> list[FaceRecord]:
     if not (faces := [face for face in dataset.faces if face.complete]):
         raise InputError(f"{dataset.spec}: expected faces with all {dataset.scheme.count} landmarks; got none")
     return faces
+
+
+def count_learned(model: jaxfit.Model, dataset: Dataset) -> int | None:
+    """How many of the complete faces of a dataset a model learned from; None if it does not say."""
+    if (digests := model.learned) is None:
+        return None
+    reader = DigestingReader(read_grey)
+    return sum(reader.among(face.image, digests) for face in complete(dataset))
 
 
 def measured(models: dict[str, Any], dataset: Dataset, rival: str | None, seed: int) -> dict[str, np.ndarray]:
@@ -85,16 +95,24 @@ def add_comparison(
     errors: Mapping[str, np.ndarray],
     others: Sequence[str],
     subjects: Sequence[str],
+    learned: Mapping[str, int | None] | None = None,
 ) -> None:
-    """Add a table: what each row errs, and the p-values of its difference from some others, which pair people."""
+    """Add a table: what each row errs, and the p-values of its difference from some others, which pair people; with
+    ``learned``, also how many of the faces a row's model learned from."""
     rows: list[dict[str, Any]] = []
     for name, found in errors.items():
         tests = {
             f"p against {other}": None if other == name else signed_rank(found, errors[other], subjects)
             for other in others
         }
-        rows.append({what: name, **error_row(found), **tests})
-    report.table(rows, {what: "", **ERROR_COLUMNS, **{f"p against {other}": ".1g" for other in others}}, above=above)
+        known = (learned or {}).get(name)
+        rows.append({what: name, "learned from": "unknown" if known is None else known, **error_row(found), **tests})
+    of_learned = {} if learned is None else {"learned from": ""}
+    report.table(
+        rows,
+        {what: "", **of_learned, **ERROR_COLUMNS, **{f"p against {other}": ".1g" for other in others}},
+        above=above,
+    )
 
 
 if __name__ == "__main__":

@@ -5,7 +5,10 @@ the input that did it, and the same seed makes the same inputs.
 """
 
 import argparse
+import contextlib
+import csv
 import json
+import os
 import resource
 import shutil
 import socket
@@ -17,6 +20,7 @@ import threading
 import time
 import traceback
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
@@ -34,7 +38,9 @@ from jaxfit.cli.arguments import out_folder, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.detectors.whole import Whole
-from jaxfit.data.pictures import decode_image, write_image
+from jaxfit.data.headers import exif_orientation
+from jaxfit.data.names import pictures_named, table_path
+from jaxfit.data.pictures import decode_image, find_images, write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.data.videos import Video, write_video
 from jaxfit.errors import JaxfitError
@@ -44,6 +50,7 @@ from jaxfit.labels.datasets import read_dataset
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options
 from jaxfit.learning.train import train
+from jaxfit.runs import FolderRun, fit_folder
 from jaxfit.schemes.known import IBUG68, LFPW29_NAMES
 from jaxfit.serving import Server, Service
 
@@ -207,6 +214,156 @@ def _dataset(folder: Path, spec: str, changed: Path) -> Callable[[bytes], str]:
     return attempt
 
 
+def _exif(_: Path) -> Target:
+    """EXIF data, in a picture of each format that has some."""
+    orientation = b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0"
+    big = b"MM\0*\0\0\0\x08\0\x01" + orientation + b"\0\0\0\0"
+    little = b"II*\0\x08\0\0\0\x01\0\x12\x01\x03\0\x01\0\0\0\x08\0\0\0\0\0\0\0"
+    jpeg, png, webp = (cv2.imencode(suffix, _picture())[1].tobytes() for suffix in (".jpg", ".png", ".webp"))
+
+    def attempt(data: bytes) -> str:
+        block = b"eXIf" + data
+        chunk = len(data).to_bytes(4) + block + zlib.crc32(block).to_bytes(4)
+        segment = b"\xff\xe1" + min(len(data) + 8, 0xFFFF).to_bytes(2) + b"Exif\0\0" + data
+        riff = webp[8:] + b"EXIF" + len(data).to_bytes(4, "little") + data + b"\0" * (len(data) % 2)
+        files = (jpeg[:2] + segment + jpeg[2:], png[:33] + chunk + png[33:])
+        for picture in (*files, b"RIFF" + len(riff).to_bytes(4, "little") + riff):
+            exif_orientation(picture)
+            decode_image(picture)
+        exif_orientation(data)
+        return _READ
+
+    return Target([big, little], attempt)
+
+
+def _names(folder: Path) -> Target:
+    """Names of pictures, with their boxes: a run over them has a row for each, and tables that anybody reads."""
+    model = folder / "small.safetensors"
+    jaxfit.save(_small_model(folder), model)
+    picture = cv2.imencode(".png", _picture())[1].tobytes()
+
+    def attempt(data: bytes) -> str:
+        names = dict.fromkeys(part[:255] for part in data.replace(b"/", b"").split(b"\0"))
+        run = Path(tempfile.mkdtemp(dir=folder))
+        pictures = []
+        for name in names:
+            path = run / os.fsdecode(name)
+            if name in (b"", b".", b".."):
+                continue
+            path.write_bytes(picture)
+            pictures.append(path)
+        if not pictures:
+            return _REFUSED
+        try:
+            with (run / "_.csv").open("w", newline="", encoding="utf-8") as file:
+                rows = csv.writer(file)
+                rows.writerow(["image", "x", "y", "width", "height"])
+                rows.writerows([table_path(path), 8, 8, 32, 32] for path in pictures)
+            how = FolderRun(out=run / "out", model=model, boxes=run / "_.csv", formats=("csv", "pts", "jsonl", "coco"))
+            report = fit_folder(how, pictures)
+            with (run / "out" / "landmarks.csv").open(newline="", encoding="utf-8") as file:
+                spelled = [row["image"] for row in csv.DictReader(file)]
+            found = pictures_named(spelled, pictures)
+            if sorted(path for each in found.values() for path in each) != sorted(pictures):
+                raise RuntimeError(f"{spelled} are not the names of {pictures}")
+            json.loads((run / "out" / "keypoints.json").read_text(encoding="utf-8"))
+            return _PART if report.problems else _READ
+        finally:
+            shutil.rmtree(run)
+
+    seeds = [b"a.png\0b.png", "é.jpg\0e\u0301.png\0Z.png\0z.png".encode(), b"=1.png\0-x\0\xe9 .png\0a\nb", b"x" * 255]
+    return Target(seeds, attempt)
+
+
+def _folders(folder: Path) -> Target:
+    """Trees of files, folders and links, and patterns over them: all is read or reported."""
+    picture = cv2.imencode(".png", _picture())[1].tobytes()
+
+    def attempt(data: bytes) -> str:
+        root = Path(tempfile.mkdtemp(dir=folder))
+        places = [root]
+        pattern = "*"
+        try:
+            for step in data.split(b"\n")[:12]:
+                kind, name = step[:1], os.fsdecode(step[1:60].replace(b"/", b"").replace(b"\0", b""))
+                path = places[len(name) % len(places)] / name
+                with contextlib.suppress(OSError):  # a name that is there, or none
+                    match kind:
+                        case b"d":
+                            path.mkdir()
+                            places.append(path)
+                        case b"l":
+                            path.symlink_to(places[-1])
+                        case b"b":
+                            path.symlink_to(name + "?")
+                        case b"e":
+                            path.touch()
+                        case b"g":
+                            pattern = name or "*"
+                        case b"t":
+                            path.write_bytes(step)
+                        case _:
+                            path.write_bytes(picture)
+            found = []
+            for paths in ([root], [root / pattern], [root / "**" / pattern]):
+                with contextlib.suppress(JaxfitError):
+                    found += find_images(paths, recursive=True)
+            problems = 0
+            for path in found:
+                try:
+                    jaxfit.read_image(path)
+                except JaxfitError:
+                    problems += 1
+            return _REFUSED if not found else _PART if problems else _READ
+        finally:
+            shutil.rmtree(root)
+
+    return Target([b"fa.png\nfb.png\nddeep\nfcc.png\nlround\ng*.png", b"fab\ndd\nfabcd\ng[a-z]*"], attempt)
+
+
+def _arrays(folder: Path) -> Target:
+    """Arrays of any type, shape and layout as pictures, and any numbers as their boxes."""
+    model = _small_model(folder)
+    kinds = [
+        "u1",
+        "u2",
+        "u4",
+        "i1",
+        "i2",
+        "i8",
+        "f2",
+        "f4",
+        "f8",
+        "c8",
+        "?",
+        "S3",
+        "U2",
+        "M8[s]",
+        "m8[s]",
+        "V5",
+        ">u2",
+        ">f4",
+    ]
+
+    def attempt(data: bytes) -> str:
+        head, rest = data[:12].ljust(12, b"\0"), data[12:]
+        kind = np.dtype(kinds[head[0] % len(kinds)])
+        shape = tuple(size % 70 for size in head[2 : 2 + head[1] % 5])
+        size = int(np.prod(shape)) * kind.itemsize
+        array = np.frombuffer(np.resize(np.frombuffer(rest or b"\0", np.uint8), size).tobytes(), kind).reshape(shape)
+        array = array[::-1] if array.ndim and head[7] & 1 else array
+        array = array.T if head[7] & 2 else array
+        boxes = np.frombuffer(rest[:32].ljust(32, b"\0"), np.float64) if head[8] & 1 else np.array([2.0, 2, 30, 30])
+        boxes = boxes.reshape((1, 4) if head[8] & 6 else (4,))
+        with np.errstate(all="ignore"):
+            _, problems = jaxfit.crop_faces(model, array if head[9] & 1 else [array], boxes)
+        return _PART if problems else _READ
+
+    grey, colour = bytes([0, 2, 48, 64, 0, 0, 0, 0, 2, 0, 0, 0]), bytes([0, 3, 48, 64, 3, 0, 0, 0, 2, 0, 0, 0])
+    wide = bytes([1, 2, 40, 60, 0, 0, 0, 1, 2, 0, 0, 0])
+    return Target([head + _picture().tobytes()[:40] for head in (grey, colour, wide)], attempt)
+
+
 def _pts(folder: Path) -> Target:
     for name in ("a", "b"):
         write_image(folder / f"{name}.png", _picture())
@@ -317,19 +474,26 @@ def _configs(folder: Path) -> Target:
 
 
 def _videos(folder: Path) -> Target:
-    path = folder / "film.mp4"
-    with write_video(path, 25.0) as write:
-        for _ in range(5):
-            write(_picture())
+    films = [folder / f"film{suffix}" for suffix in (".mp4", ".webm")]
+    for path in films:
+        with write_video(path, 25.0) as write:
+            for number in range(5):
+                write(np.roll(_picture(), number, 1))
+    films.append(folder / "film.avi")
+    writer = cv2.VideoWriter(str(films[-1]), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    for _ in range(5):
+        writer.write(_picture())
+    writer.release()
+    changed = folder / "changed.mkv"
 
     def attempt(data: bytes) -> str:
-        path.write_bytes(data)
-        with Video(path) as video:
+        changed.write_bytes(data)
+        with Video(changed) as video:
             for _ in video:
                 pass
             return _PART if video.problem else _READ
 
-    return Target([path.read_bytes()], attempt)
+    return Target([path.read_bytes() for path in films], attempt)
 
 
 def _page(folder: Path) -> Target:
@@ -377,6 +541,10 @@ def _page(folder: Path) -> Target:
 
 TARGETS: dict[str, Callable[[Path], Target]] = {
     "images": _images,
+    "exif": _exif,
+    "names": _names,
+    "folders": _folders,
+    "arrays": _arrays,
     "pts": _pts,
     "aflw": _aflw,
     "lfpw": _lfpw,

@@ -4,6 +4,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import lax, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
@@ -13,6 +14,7 @@ from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.starts import Starts, square_around, starts_of
 from jaxfit.cascade.state import State, advanced, features_of, landmarks_of, state_of
 from jaxfit.errors import InputError
+from jaxfit.modes import require_jax
 from jaxfit.shapes.asm import Coefficients
 from jaxfit.shapes.space import ShapeSpace3D, Start
 from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Scalar
@@ -20,6 +22,7 @@ from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Scalar
 # Few, as they wait for each other; several, as a single one does not fill the processor's vectors.
 _ALIGNED_AT_ONCE = 4
 _FAR = 1e4  # pixels, many crops
+_Given = UInt8[Array, "faces height width"] | UInt8[np.ndarray, "faces height width"]
 
 
 class Descent(NamedTuple):
@@ -54,8 +57,8 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> Descent:
         states = move(states, lax.switch(number, [regressor.predict for regressor in regressors], features))
         return (states, features), states
 
-    numbers = jnp.arange(len(cascade.weights))
-    unseen = jnp.zeros((*states.angle.shape, cascade.weights[0].shape[0]))
+    numbers = jnp.arange(len(cascade.weights), dtype=jnp.int32)
+    unseen = jnp.zeros((*states.angle.shape, cascade.weights[0].shape[0]), jnp.float32)
     (last, features), each = lax.scan(
         step, (states, unseen), (numbers, cascade.biases, cascade.directions, cascade.windows)
     )
@@ -93,14 +96,13 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
     known = jnp.where(finite[:, None, None], candidates, 0.0)
     apart = jnp.sqrt(jnp.sum((known[:, None] - known[None, :]) ** 2, -1))
     distances = jnp.minimum(apart, _FAR).sum(2)
-    sums = jnp.sum(distances * finite, 1)
+    sums = jnp.sum(jnp.where(finite, distances, 0.0), 1)
     return jnp.argmin(jnp.where(finite, sums, jnp.inf))
 
 
-@partial(jax.jit, static_argnames="passes")
 def fit_crops(
     cascade: Cascade,
-    crops: UInt8[Array, "faces height width"],
+    crops: _Given,
     starts: Starts = Starts(),
     passes: int = 1,
 ) -> Float[Array, "faces landmarks 2"]:
@@ -115,7 +117,15 @@ def fit_crops(
 
     Raises:
         InputError: crops of another size or type, or no passes.
+        ProcessError: this process was forked from one that has computed.
     """
+    _require_crops(cascade, crops, passes)
+    require_jax()
+    return _fit_crops(cascade, crops, starts, passes)
+
+
+@partial(jax.jit, static_argnames="passes")
+def _fit_crops(cascade: Cascade, crops: Array, starts: Starts, passes: int) -> Float[Array, "faces landmarks 2"]:
     return _landmarks(cascade, _best(cascade, _descended(cascade, crops, starts.rotations, passes).last))
 
 
@@ -181,10 +191,9 @@ class Heads(NamedTuple):
     b: Coefficients
 
 
-@partial(jax.jit, static_argnames="passes")
 def fit_heads(
     cascade: Cascade,
-    crops: UInt8[Array, "faces height width"],
+    crops: _Given,
     starts: Starts = Starts(),
     passes: int = 1,
     aligned: ShapeSpace3D | None = None,
@@ -202,6 +211,13 @@ def fit_heads(
     Raises:
         InputError: crops of another size or type, no passes, or a 2D cascade with nothing to align.
     """
+    _require_crops(cascade, crops, passes)
+    require_jax()
+    return _fit_heads(cascade, crops, starts, passes, aligned)
+
+
+@partial(jax.jit, static_argnames="passes")
+def _fit_heads(cascade: Cascade, crops: Array, starts: Starts, passes: int, aligned: ShapeSpace3D | None) -> Heads:
     return _heads(cascade, aligned, _best(cascade, _descended(cascade, crops, starts.rotations, passes).last))
 
 
@@ -254,17 +270,31 @@ def _best(cascade: Cascade, states: State) -> State:
     return vmap(best)(states)
 
 
-def _descended(
-    cascade: Cascade, crops: UInt8[Array, "faces height width"], rotations: Float[Array, "starts"], passes: int
-) -> Descent:
-    """The last pass of `descend` in crops, the first from starts of these rotations."""
-    side = cascade.frame.crop
+def _require_crops(cascade: Cascade, crops: Any, passes: int) -> None:
+    """Check what a cascade is to be run on, and how often.
+
+    Raises:
+        InputError: crops of another size or type, or no passes.
+    """
+    side, kind = cascade.frame.crop, type(crops)
+    if not isinstance(crops, np.ndarray | jax.Array):
+        raise InputError(
+            f"expected crops as an array of NumPy or JAX, uint8 (N, {side}, {side}), as jaxfit.crop_faces cuts them; "
+            f"got {kind.__module__.partition('.')[0]}.{kind.__name__}"
+        )
     if crops.shape[1:] != (side, side):
         raise InputError(f"expected crops (N, {side}, {side}) as jaxfit.crop_faces cuts them; got {crops.shape}")
     if crops.dtype != jnp.uint8:  # white may be 1 in others: gradients would be weighed wrong, without a word
         raise InputError(f"expected uint8 crops, as jaxfit.crop_faces cuts them; got {crops.dtype}")
     if passes < 1:
         raise InputError(f"expected at least one pass; got {passes}")
+
+
+def _descended(
+    cascade: Cascade, crops: UInt8[Array, "faces height width"], rotations: Float[Array, "starts"], passes: int
+) -> Descent:
+    """The last pass of `descend` in crops, the first from starts of these rotations."""
+    _require_crops(cascade, crops, passes)
     prepared = vmap(cascade.descriptor.prepare)(crops)
 
     def once(states: State, _: None) -> tuple[State, Descent]:
@@ -284,7 +314,7 @@ def _descended(
 def _start_over(cascade: Cascade, state: State) -> State:
     """Where a next pass starts: the mean face, turned as a fit is if the descriptor turns, with its bounding square."""
     space, descriptor = cascade.space, cascade.descriptor
-    rotation = space.rotation(state.params) + state.angle if descriptor.turns else jnp.zeros(())
+    rotation = space.rotation(state.params) + state.angle if descriptor.turns else jnp.zeros_like(state.angle)
     upright = jax.tree.map(lambda part: part[0], starts_of(space, cascade.frame, rotation[None]))
     middle, side = square_around(space.landmarks(space.place(upright)))
     there, as_large = square_around(landmarks_of(space, state))

@@ -125,11 +125,11 @@ def sample_starts(key: Array, count: int, frame: Frame, sigmas: Float[Array, "4"
     the crop by up to ``turn`` radians, evenly in both directions."""
     shift, scale, rotation = random.split(key, 3)
     starts = Start(
-        centre=frame.middle + sigmas[:2] * frame.face * random.normal(shift, (count, 2)),
-        scale=jnp.exp(sigmas[2] * random.normal(scale, (count,))),
-        rotation=sigmas[3] * random.normal(rotation, (count,)),
+        centre=frame.middle + sigmas[:2] * frame.face * random.normal(shift, (count, 2), sigmas.dtype),
+        scale=jnp.exp(sigmas[2] * random.normal(scale, (count,), sigmas.dtype)),
+        rotation=sigmas[3] * random.normal(rotation, (count,), sigmas.dtype),
     )
-    turns = random.uniform(random.fold_in(rotation, 1), (count,), minval=-turn, maxval=turn)
+    turns = random.uniform(random.fold_in(rotation, 1), (count,), sigmas.dtype, minval=-turn, maxval=turn)
     return vmap(Start.turned, (0, None, 0))(starts, pivot, turns)
 
 
@@ -311,7 +311,7 @@ def train_cascade(
         return Spectrum(Projection(mean, directions), held)
 
     for rows, _ in batches("drawing starts"):
-        pivots = jnp.asarray(faces.pivots[rows])
+        pivots = jnp.asarray(faces.pivots[rows], jnp.float32)
         put(
             rows,
             draw_states(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.image.frame import Frame
+from jaxfit.modes import computing
 from jaxfit.shapes.space import ShapeSpace
 
 
@@ -60,6 +61,7 @@ class Cascade:
     directions: Float[Array, "steps rank params"] | None = None
 
 
+@computing
 def first_steps(cascade: Cascade, count: int) -> Cascade:
     """The first ``count`` steps of a cascade: what training with as many gives, as steps do not know of later ones."""
     directions = None if cascade.directions is None else cascade.directions[:count]

@@ -32,11 +32,11 @@ class Moments:
     def empty(features: int, params: int) -> "Moments":
         """No samples yet, for vectors of these sizes."""
         return Moments(
-            jnp.zeros(()),
-            jnp.zeros(features),
-            jnp.zeros(params),
-            jnp.zeros((features, features)),
-            jnp.zeros((features, params)),
+            jnp.zeros((), jnp.float32),
+            jnp.zeros(features, jnp.float32),
+            jnp.zeros(params, jnp.float32),
+            jnp.zeros((features, features), jnp.float32),
+            jnp.zeros((features, params), jnp.float32),
         )
 
     def add(

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
+from jaxfit.modes import own_modes
 from jaxfit.shapes.space import ShapeSpace, Start, rotate
 from jaxfit.types import Landmarks, Point, Scalar
 
@@ -68,7 +69,7 @@ def _spread_evenly(count: int, low: float, high: float) -> Float[Array, "starts"
     full_circle = high - low == 360  # both ends are the same
     several = np.linspace(low, high, count, endpoint=not full_circle)
     degrees = [(low + high) / 2] if count == 1 else several
-    with jax.ensure_compile_time_eval():
+    with own_modes(), jax.ensure_compile_time_eval():
         return jnp.asarray(np.radians(degrees), jnp.float32)
 
 
@@ -103,7 +104,8 @@ def starts_of(space: ShapeSpace, frame: Frame, rotations: Float[Array, "starts"]
     Turned, the mean face is moved and scaled to have the same bounding square as the upright one: around a turned face,
     which is wider or narrower, a box lies differently.
     """
-    upright = Start(jnp.full(2, frame.middle), jnp.ones(()), jnp.zeros(()))
+    kind = rotations.dtype
+    upright = Start(jnp.full(2, frame.middle, kind), jnp.ones((), kind), jnp.zeros((), kind))
     mean = space.landmarks(space.place(upright))
 
     def turned(rotation: Scalar) -> Start:

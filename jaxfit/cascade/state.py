@@ -29,7 +29,7 @@ class State(NamedTuple):
 
 def state_of(descriptor: Descriptor, space: ShapeSpace, params: Params) -> State:
     """The state of a face that is given in the crop."""
-    return followed(descriptor, space, State(params, jnp.zeros(())))
+    return followed(descriptor, space, State(params, jnp.zeros((), params.dtype)))
 
 
 def followed(descriptor: Descriptor, space: ShapeSpace, state: State) -> State:

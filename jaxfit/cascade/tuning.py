@@ -23,6 +23,7 @@ from jaxfit.cascade.starts import Spread
 from jaxfit.cascade.state import State, advanced, landmarks_of
 from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance, draw_warp, spoiled
+from jaxfit.modes import mixing_types
 from jaxfit.shapes.space import ShapeSpace3D
 from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Scalar
 
@@ -143,7 +144,7 @@ def finetune_cascade(
     drawn = _Drawn(spread.sigmas * tuning.spread, jnp.float32(turn))
     of_checked = None if check is None else _depths(cascade, check)
     checked = partial(_checked, cascade, check, of_checked, drawn._replace(sigmas=spread.sigmas), tuning)
-    state = resume(Progressed(learned, _OPTIMISER.init(learned), learned, jnp.asarray([checked(learned)])))
+    state = resume(Progressed(learned, _OPTIMISER.init(learned), learned, jnp.asarray([checked(learned)], jnp.float32)))
     done = len(state.errors) - 1
     for epoch in range(done, tuning.epochs):
         # Both are overwritten in place.
@@ -172,7 +173,7 @@ def finetune_cascade(
             )
         error = checked(learned)
         best = learned if check is None or error <= jnp.nanmin(state.errors) else state.best
-        state = Progressed(learned, of_optimiser, best, jnp.append(state.errors, error))
+        state = Progressed(learned, of_optimiser, best, jnp.append(state.errors, jnp.float32(error)))
         keep(state)
     progress("fine-tuning", tuning.epochs * batches, tuning.epochs * batches)
     return _rounded(cascade, state.best), state.errors
@@ -215,8 +216,9 @@ def _rates(tuning: Tuning, batches: int) -> np.ndarray:
     """The rate of learning at each step of the optimiser."""
     steps = tuning.epochs * batches
     warm_up = max(1, round(_WARM_UP * steps))
-    schedule = optax.warmup_cosine_decay_schedule(_BEGIN * tuning.rate, tuning.rate, warm_up, max(2, steps))
-    return np.asarray(schedule(np.arange(steps)))
+    with mixing_types():
+        schedule = optax.warmup_cosine_decay_schedule(_BEGIN * tuning.rate, tuning.rate, warm_up, max(2, steps))
+        return np.asarray(schedule(np.arange(steps)), np.float32)
 
 
 def _sizes(cascade: Cascade) -> Learned:
@@ -234,7 +236,7 @@ def _sizes(cascade: Cascade) -> Learned:
     return Learned(
         tuple(size(weights, 0) for weights in cascade.weights),
         # What a step comes to, as a landmark's features have length 1.
-        jnp.sqrt(landmarks) * jnp.concatenate([size(each, 0) for each in columns]),
+        np.sqrt(landmarks).astype(np.float32) * jnp.concatenate([size(each, 0) for each in columns]),
         None if directions is None else size(directions, 1),
     )
 
@@ -246,7 +248,7 @@ def _loss(
     keys = random.split(key, len(cascade.weights))
     seen = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
     distances = _distances_of_steps(cascade, levels, batch, states, seen)
-    shares = _EARLIER ** jnp.arange(len(distances))[::-1]
+    shares = _EARLIER ** np.arange(len(distances), dtype=np.float32)[::-1]
     return (
         jnp.sum(shares * jnp.stack([_mean_known(optax.losses.huber_loss(e, delta=_BEND)) for e in distances])) / _BEND
     )
@@ -259,8 +261,8 @@ def _everything(step: int, features: Array) -> Array:
 def _without_some(keys: Array, dropped: float, landmarks: int, step: int, features: Array) -> Array:
     """The features of a step, 0 for landmarks that it does not see, and the others so much larger."""
     of_landmarks = features.reshape(*features.shape[:2], landmarks, -1)
-    kept = random.bernoulli(keys[step], 1 - dropped, (*of_landmarks.shape[:3], 1))
-    return (of_landmarks * kept / (1 - dropped)).reshape(features.shape)
+    kept = random.bernoulli(keys[step], jnp.float32(1 - dropped), (*of_landmarks.shape[:3], 1))
+    return (jnp.where(kept, of_landmarks, 0.0) / (1 - dropped)).reshape(features.shape)
 
 
 def _features(
@@ -321,7 +323,7 @@ def _distances(space: Any, state: State, landmarks: Landmarks, depths: Float[Arr
 
 def _mean_known(values: Float[Array, "faces landmarks"]) -> Scalar:
     known = jnp.isfinite(values)
-    return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(), 1)
+    return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(dtype=values.dtype), 1)
 
 
 @partial(jax.jit, static_argnames=("levels", "dropped", "disturbance"), donate_argnames=("learned", "of_optimiser"))
@@ -345,7 +347,9 @@ def _updated(
     def loss(learned: Learned) -> Scalar:
         return _loss(_with(cascade, learned), levels, batch, states, of_landmarks, dropped)
 
-    changes, of_optimiser = _OPTIMISER.update(jax.grad(loss)(learned), of_optimiser)
+    slopes = jax.grad(loss)(learned)
+    with mixing_types():
+        changes, of_optimiser = _OPTIMISER.update(slopes, of_optimiser)
     changes = jax.tree.map(lambda change, size: -rate * change * size, changes, _sizes(cascade))
     return optax.apply_updates(learned, changes), of_optimiser
 
@@ -368,7 +372,7 @@ def _upright(batch: _Batch) -> _Batch:
 def _disturbed(key: Array, batch: _Batch, amounts: Disturbance, middle: float) -> _Batch:
     def of_face(key: Array, face: _Batch) -> _Batch:
         of_warp, of_picture = random.split(key)
-        warp = draw_warp(of_warp, amounts, jnp.full(2, middle))
+        warp = draw_warp(of_warp, amounts, jnp.full(2, middle, jnp.float32))
         scale = jnp.sqrt(jnp.linalg.det(warp.matrix))
         return face._replace(
             crops=_as_bytes(spoiled(of_picture, warp.picture(face.crops.astype(jnp.float32)), amounts)),

@@ -64,6 +64,23 @@ def add_pictures(command: argparse.ArgumentParser) -> None:
     )
 
 
+def add_unshift(command: argparse.ArgumentParser) -> None:
+    """``--unshift``."""
+    command.add_argument(
+        "--unshift",
+        action="store_true",
+        help="put landmarks on what they mark, where the model knows that the labels it learned from lay beside it, "
+        "a pixel or half (docs/label_shift.md), as its fits do otherwise",
+    )
+
+
+def given_unshift(arguments: argparse.Namespace, model: Model) -> list[str]:
+    """That ``--unshift`` changes nothing, if it was given and does not."""
+    if not arguments.unshift or model.cascade.frame.shift:
+        return []
+    return [f"--unshift: {arguments.model} knows of no shift of its labels: its fits stay where they are"]
+
+
 def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     """``--boxes FILE.csv`` and ``--box-kind KIND``."""
     command.add_argument(

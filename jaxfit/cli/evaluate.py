@@ -44,7 +44,7 @@ from jaxfit.evaluation.evaluate import (
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
-from jaxfit.fitting.fit import passes_from
+from jaxfit.fitting.fit import passes_from, passes_from_boxes
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline
 from jaxfit.labels.datasets import convert_dataset, parse_spec
@@ -64,7 +64,7 @@ _COLUMNS = {"dataset": "", "relative to": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f
 _BOX_COLUMNS = ("x", "y", "width", "height")
 _POSE_COLUMNS = tuple(f"{of}{angle}" for of in ("", "true_") for angle in ANGLES)
 _MEASURED_COLUMNS = (*_BOX_COLUMNS, "nmed", "nmed_3d", *_POSE_COLUMNS, "pose_order")
-_FACE_COLUMNS = ("dataset", "face", "subject", "image", *_MEASURED_COLUMNS, "problem")
+_FACE_COLUMNS = ("dataset", "face", "subject", "image", *_MEASURED_COLUMNS, "learned", "problem")
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -121,7 +121,10 @@ def run(options: argparse.Namespace) -> int:
     boxes, unused = (None, []) if named is None else _boxes_of_pictures(options.boxes, named, datasets)
     folder = out_folder(options.out)
     kinds = {dataset.spec: _box_kind(options, model, named, dataset) for dataset in datasets}
-    passes = 1 if options.detector is None else passes_from(detector_named(options.detector))
+    if options.detector is not None:
+        passes = passes_from(detector_named(options.detector))
+    else:
+        passes = passes_from_boxes(box.kind for boxes in (named or {}).values() for box in boxes)
     pipeline = Pipeline(model, starts=starts, passes=passes, read=read_grey)
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
@@ -134,7 +137,9 @@ def run(options: argparse.Namespace) -> int:
                 begun, turned = start_boxes(dataset.faces, options.seed), None
             else:
                 begun, kind, turned = share_boxes(dataset.faces, boxes)
-            fits, seconds = fit_labelled(pipeline, dataset.faces, begun, kind=kind, rotations=turned, progress=bars)
+            fits, seconds, learned = fit_labelled(
+                pipeline, dataset.faces, begun, kind=kind, rotations=turned, progress=bars
+            )
             results[dataset.spec] = measure(
                 refine(model, fits) if options.refine else fits,
                 dataset.faces,
@@ -142,6 +147,7 @@ def run(options: argparse.Namespace) -> int:
                 normaliser=options.normaliser,
                 model=model,
                 seconds_per_face=seconds,
+                learned=learned,
             )
     if not is_first():
         return 0
@@ -168,7 +174,8 @@ def run(options: argparse.Namespace) -> int:
     )
     print(
         "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
-        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
+        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated. Learned from: "
+        "faces in pictures that the model was trained on, which are no test of it."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
     print(text_table([_row(spec, result) for spec, result in results.items()], columns))
@@ -237,6 +244,7 @@ def _report(result: Evaluation) -> dict[str, Any]:
         **summarise(result.errors).as_json(),
         "fitted": fitted,
         "undetected": len(result.faces) - fitted,
+        "learned_from": None if result.learned is None else int(result.learned.sum()),
         "normaliser": NORMALISERS[result.normaliser].title,
         "seconds_per_face": seconds if isfinite(seconds) else None,
         **_report_3d(result),
@@ -259,7 +267,7 @@ def _row(spec: str, result: Evaluation) -> dict[str, object]:
     return {
         "dataset": spec,
         "relative to": NORMALISERS[result.normaliser].title,
-        **summary_row(result.errors),
+        **summary_row(result.errors, learned=result.learned),
         _ERROR_3D: median_3d,
         "ms/face": result.seconds_per_face * 1000,
     }
@@ -281,4 +289,5 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
             problem = why.get(number, "the normaliser's points are not annotated" if isnan(error) else "")
             numbers = [*box, f"{error:.6f}", error_3d, *pose]
             names = [table_word(face.face), table_word(face.subject), table_path(face.image)]
-            yield [plain(spec), *names, *numbers, face.pose_order, plain(problem)]
+            learned = "" if result.learned is None else int(result.learned[number])
+            yield [plain(spec), *names, *numbers, face.pose_order, learned, plain(problem)]

@@ -9,14 +9,18 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import out_folder
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.outputs import replace_results, require_own_folder
 from jaxfit.evaluation.tables import text_table
 from jaxfit.experiments.config import read_config
 from jaxfit.experiments.experiment import SETTINGS, Experiment
 from jaxfit.experiments.page import write_files
 from jaxfit.experiments.report import build_report
 from jaxfit.experiments.results import read_results
-from jaxfit.experiments.runner import Status, experiment_status, run_experiment, seconds_per_window
+from jaxfit.experiments.runner import Status, experiment_status, run_experiment, seconds_per_window, seconds_to_compile
 from jaxfit.experiments.tasks import Task, plan_tasks
+
+_RUN, _REPORT = "jaxfit experiments run", "jaxfit experiments report"
+_KEPT = ("datasets", "models", "results")  # folders of what tasks have made
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -58,12 +62,16 @@ def run_command(options: argparse.Namespace) -> int:
     config = read_config(options.config)
     if options.dry_run:
         return _dry_run(Experiment(config, Path(options.out)))
+    require_own_folder(options.out, _RUN)
     folder = out_folder(options.out)
     begin = time.monotonic()
     with Bars() as bars:
         progress = _TaskProgress(bars)
         run_experiment(config, folder, progress.within, progress.begun)
     results = read_results(folder)
+    kept = (path for part in _KEPT for path in (folder / part).rglob("*") if path.is_file())
+    written = [SETTINGS, *(path.relative_to(folder).as_posix() for path in kept)]
+    replace_results(folder, _RUN, written, {"config": Path(options.config).name})
     report_problems(list(results.problems))
     done = f"{results.tasks - results.missing} of {results.tasks} tasks done"
     took = f"{progress.ran} of them now, in {duration(time.monotonic() - begin)}"
@@ -97,7 +105,11 @@ def _dry_run(experiment: Experiment) -> int:
     if (experiment.folder / SETTINGS).exists():
         experiment.keep_settings()
     status = experiment_status(experiment)
-    seconds = status.seconds_left if status.done else status.work_left * seconds_per_window()
+    if status.done:
+        seconds, how = status.seconds_left, "by the pace so far"
+    else:
+        seconds = status.work_left * seconds_per_window() + seconds_to_compile(experiment)
+        how = "by a short measurement on this machine, with the compilation of each training"
     tasks = plan_tasks(experiment.config)
     kinds = Counter("/".join(task.name.split("/")[:2]) for task in tasks)
     done = Counter("/".join(task.name.split("/")[:2]) for task in tasks if experiment.done(task.name))
@@ -106,8 +118,6 @@ def _dry_run(experiment: Experiment) -> int:
         print(f"{name}: {len(faces.records)} faces with all {faces.scheme.count} landmarks ({faces.scheme.name})")
     report_problems([problem for faces in experiment.faces.values() for problem in faces.problems])
     print(text_table(rows, {"tasks": "", "in all": "d", "done": "d"}))
-    measured = "by a short measurement on this machine; what was never compiled here takes minutes more"
-    how = "by the pace so far" if status.done else measured
     left = f"{status.tasks - status.done} of {status.tasks} tasks to run"
     print(f"{left}; one process takes about {duration(seconds)}, {how}")
     return 0
@@ -117,8 +127,11 @@ def report_command(options: argparse.Namespace) -> int:
     """Write the report."""
     folder = Path(options.folder)
     results = read_results(folder)
-    target = out_folder(options.out or str(folder / "report"))
-    write_files(build_report(results, pictures=not options.no_pictures), target)
+    out = options.out or str(folder / "report")
+    require_own_folder(out, _REPORT)
+    target = out_folder(out)
+    written = write_files(build_report(results, pictures=not options.no_pictures), target)
+    replace_results(target, _REPORT, written, {"pictures": not options.no_pictures})
     if results.missing:
         missing = f"{results.missing} of {results.tasks} tasks are not run yet"
         print(f"{missing}; the parts of the report that need them are left out", file=sys.stderr)

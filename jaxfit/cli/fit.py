@@ -9,8 +9,10 @@ from jaxfit.cli.arguments import (
     add_pictures,
     add_refine,
     add_starts,
+    add_unshift,
     given_search,
     given_starts,
+    given_unshift,
     untrained_starts,
     unused_rows,
 )
@@ -34,6 +36,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_detector(command, "finds the faces; yunet, a small network, unless given")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
+    add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument(
         "--format",
@@ -75,6 +78,7 @@ def run(options: argparse.Namespace) -> int:
         folders=tuple(path for path in options.pictures if Path(path).is_dir()),
         box_kind=options.box_kind,
         starts=starts,
+        unshift=options.unshift,
         refine=options.refine,
         formats=tuple(options.format),
         overlays=not options.no_overlays,
@@ -87,7 +91,8 @@ def run(options: argparse.Namespace) -> int:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
         print(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
-    problems = untrained_starts(options.model, load(options.model), starts)
+    model = load(options.model)
+    problems = untrained_starts(options.model, model, starts) + given_unshift(options, model)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")

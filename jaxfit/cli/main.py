@@ -1,14 +1,13 @@
 """The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
 
 import argparse
-import io
-import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import jaxfit
 from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.cli.streams import lasting_streams
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
@@ -42,25 +41,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namespace) -> int:
-    """What ``run`` returns; 2 after an error, which is said in one line, 130 if stopped, 141 if nobody reads what it
-    prints any more, as in ``jaxfit models | head -1``. Compiled code is kept."""
-    keep_compiled_code()
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
-    try:
-        code = run(options)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the flush at exit
-        return 141
-    except (JaxfitError, OSError) as error:
-        # Full disks, folders that may not be written to: nothing that a traceback would explain better.
-        print(f"jaxfit: error: {error}", file=sys.stderr)
+    """What ``run`` returns; 2 after an error, which is said in one line, or where what it printed could not be written,
+    and 130 if stopped. That nobody reads what it prints, as in ``jaxfit models | head -1``, is no error: results are
+    written. Compiled code is kept."""
+    with lasting_streams() as out:
+        try:
+            keep_compiled_code()
+            code = run(options)
+            out.flush()
+        except (JaxfitError, OSError) as error:
+            # Full disks, folders that may not be written to: nothing that a traceback would explain better.
+            print(f"jaxfit: error: {error}", file=sys.stderr)
+            return 2
+        except KeyboardInterrupt:
+            print(
+                "jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr
+            )
+            return 130
+        if out.problem is None:
+            return code
+        print(f"jaxfit: error: standard output: {out.problem.strerror}; results in files are whole", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
-        return 130
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_detector, given_search, out_folder
+from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
@@ -44,6 +44,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--redetect-every", type=int, default=10, metavar="N", help="look for new faces every N frames (default: 10)"
     )
     command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves")
+    add_unshift(command)
     command.add_argument("--overlay", action="store_true", help=f"write {_OVERLAY}, which has no sound")
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.set_defaults(run=run)
@@ -52,9 +53,10 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Track and write; 1 if there was no face at all."""
     model = load(options.model)
+    problems = given_unshift(options, model)
+    model = model.unshifted() if options.unshift else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()
-    problems: list[str] = []
     frames = faces = 0
     people: set[int] = set()
     with ExitStack() as stack:
@@ -114,7 +116,7 @@ def _drawn(frame: TrackedFrame) -> np.ndarray:
     """A frame with its faces and their numbers drawn over it."""
     canvas = frame.picture
     for number, box, row in zip(frame.ids, frame.faces.boxes, frame.faces.rows(), strict=True):
-        canvas = draw_name(draw_row(canvas, row, frame.faces.scheme, boxed=False), str(number), box)
+        canvas = draw_name(draw_row(canvas, row, frame.faces.scheme, boxed=False), str(number), box, row["ok"])
     return canvas
 
 

@@ -1,6 +1,7 @@
 """``jaxfit train``: learn a model from labelled faces."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -17,15 +18,23 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.cli.together import add_processes
-from jaxfit.data.pictures import GreyPictures, read_grey
+from jaxfit.data.pictures import GreyPictures, Read, read_grey
+from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import text_table
+from jaxfit.fitting.stream import Progress
 from jaxfit.heads.model import load_head_model
+from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.choose import OPTIONS, Chosen, choose_options
 from jaxfit.learning.confidence import learn_confidence
 from jaxfit.learning.methods import METHODS
 from jaxfit.learning.train import train
 from jaxfit.models.files import SUFFIX, save
+from jaxfit.models.model import Model
 from jaxfit.processes import is_first, require_alone
+from jaxfit.schemes.normalisers import NORMALISERS
+
+_MEASURED = 256  # faces at most whose errors are told in the end
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -78,9 +87,11 @@ def run(options: argparse.Namespace) -> int:
             model = learn_confidence(
                 model, found.faces, folds=options.confidence, head_model=options.head_model, read=read, progress=bars
             )
+        if is_first():
+            save(model, out)
+        reached = _reached(model, found.faces, read, bars)
     if not is_first():
         return 0
-    save(model, out)
     report_problems([*found.problems, *trained.problems])
     if chosen:
         print(choices_table(chosen))
@@ -88,11 +99,24 @@ def run(options: argparse.Namespace) -> int:
         print(f"3D shape model: {load_head_model(options.head_model).source}")
     size = out.stat().st_size / 2**20
     print(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
+    print(reached)
     known = model.known_placements
     print(f"boxes it knows: {', '.join(known)}")
     if not options.no_detectors and len(known) == 1:
         print("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
+
+
+def _reached(model: Model, faces: Sequence[FaceRecord], read: Read, progress: Progress) -> str:
+    """What errors the model leaves on some of the faces that it learned from."""
+    complete = [face for face in faces if face.complete]
+    some = complete[:: -(-len(complete) // _MEASURED)]
+    found = evaluate(model, some, start_boxes(some), read=read, progress=progress)
+    errors = summarise(found.errors)
+    return (
+        f"on {len(some)} of the faces that it learned from: median error {errors.median:.4f}, relative to "
+        f"{NORMALISERS[found.normaliser].title}; on others it errs more: jaxfit evaluate"
+    )
 
 
 def choices_table(chosen: Chosen) -> str:

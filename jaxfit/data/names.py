@@ -6,6 +6,7 @@ may not: see `plain`.
 
 import os
 import re
+import unicodedata
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path, PurePath
@@ -53,6 +54,10 @@ def table_word(word: str) -> str:
     return f"_{text}" if text.startswith(_FORMULA) else text
 
 
+def _composed(name: str) -> str:
+    return unicodedata.normalize("NFC", name)
+
+
 def unique_names(pictures: Iterable[PurePath]) -> Iterator[str]:
     """What the results of each picture are called: its stem, numbered where several pictures share it.
 
@@ -83,7 +88,8 @@ def pictures_named(
 
     A name is a path: absolute, or relative to one of ``folders`` or to the working folder. If no picture is there, it
     is the end of a path, such as a bare file name, as long as only one picture's path ends so. Separators may be those
-    of Windows, and names may be spelled as they are or as in tables of jaxfit.
+    of Windows, and names may be spelled as they are or as in tables of jaxfit. Letters with accents may be one
+    character or two, which systems differ in, if no picture is spelled exactly so.
 
     Args:
         names: from a table.
@@ -95,12 +101,17 @@ def pictures_named(
     """
     places: dict[str, list[Path]] = {}
     by_name: dict[str, list[str]] = {}
+    # As they are composed: what a system has decomposed, as macOS does, is the same name.
+    composed: dict[str, list[str]] = {}
+    composed_names: dict[str, list[str]] = {}
     real = cache(os.path.realpath)  # without links to folders; a link to a picture is a picture of its own
     for picture in dict.fromkeys(pictures):
         name = plain(picture.name)
         place = os.path.join(plain(real(picture.parent)), name)
         if place not in places:
             by_name.setdefault(name, []).append(place)
+            composed.setdefault(_composed(place), []).append(place)
+            composed_names.setdefault(_composed(name), []).append(place)
         places.setdefault(place, []).append(picture)
     bases = [plain(real(base)) for base in dict.fromkeys([*map(str, folders), "."])]
     found = {}
@@ -109,9 +120,16 @@ def pictures_named(
             path = os.path.normpath(spelling)
             folder, file = os.path.split(path)
             there = {os.path.join(real(os.path.join(base, folder)), file) for base in bases}
-            meant = there.intersection(places) or {
-                place for place in by_name.get(file, ()) if place.endswith(os.sep + path)
-            }
+            meant = (
+                there.intersection(places)
+                or {place for place in by_name.get(file, ()) if place.endswith(os.sep + path)}
+                or {place for each in there for place in composed.get(_composed(each), ())}
+                or {
+                    place
+                    for place in composed_names.get(_composed(file), ())
+                    if _composed(place).endswith(_composed(os.sep + path))
+                }
+            )
             if len(meant) > 1:
                 some = [str(places[place][0]) for place in sorted(meant)][:2]
                 raise InputError(

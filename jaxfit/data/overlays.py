@@ -12,6 +12,7 @@ from jaxfit.data.crops import turned
 from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.data.rows import Row
 from jaxfit.errors import InputError
+from jaxfit.modes import computing
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
 
@@ -121,6 +122,7 @@ class Outline(NamedTuple):
     axes: np.ndarray
 
 
+@computing
 def outline_of(landmarks_3d: np.ndarray, pose: np.ndarray) -> Outline:
     """The outline of a head from its landmarks (L, 3) and its roll, pitch and yaw (3,) in degrees, all finite."""
     rotation = np.asarray(pose_rotation(jnp.asarray(pose, jnp.float32)), np.float64)

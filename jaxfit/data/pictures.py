@@ -3,7 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
-from glob import glob
+from glob import escape, glob
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Lock
@@ -307,7 +307,7 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     In folders, pictures are known by their names or by how they begin. What cannot be read is in the list too, folders
     within folders included: `read_image` says what is wrong with it. What is named twice comes once. Hidden files and
     folders in folders are left out. A path that does not exist may be a pattern, such as ``photos/*.jpg`` or
-    ``photos/**/*.jpg``.
+    ``photos/**/*.jpg``; folders that it looks into and that cannot be read are in the list.
 
     Args:
         paths: files, folders and patterns.
@@ -319,9 +319,11 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
     """
     found: list[Path] = []
     for path in map(Path, paths):
-        matches = [path] if os.path.exists(path) else sorted(map(Path, glob(str(path), recursive=True)))
-        if not matches:
+        matches = [path] if os.path.exists(path) else sorted(map(Path, _matches(str(path))))
+        closed = [] if matches == [path] else _closed_folders(path)
+        if not matches and not closed:
             raise InputError(_absent(path))
+        found += closed  # whose pictures the pattern may mean
         for match in matches:
             if match.is_dir() and (match == path or recursive):
                 found += _pictures_in(match, recursive)
@@ -330,6 +332,31 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
             elif not match.is_dir():
                 found.append(match)
     return list(dict.fromkeys(found))
+
+
+def _matches(pattern: str) -> set[str]:
+    """What a pattern stands for; ``**`` goes through folders as deep as they are, and once round where links lead in
+    circles."""
+    before, deep, after = pattern.partition("**")
+    if not deep or not (before.endswith(os.sep) or not before) or not (after.startswith(os.sep) or not after):
+        return {*glob(pattern)}
+    found: set[str] = set()
+    for top in glob(before) if before else [os.curdir]:
+        visited: set[str] = set()
+        for place, folders, _ in os.walk(top, followlinks=True):
+            if (real := os.path.realpath(place)) in visited:
+                folders.clear()
+                continue
+            visited.add(real)
+            folders[:] = [name for name in folders if not name.startswith(".")]
+            found |= _matches(escape(place) + (after or f"{os.sep}*"))
+    return found
+
+
+def _closed_folders(pattern: Path) -> list[Path]:
+    """The folders that a pattern looks into and that cannot be read."""
+    looked_into = (folder for part in pattern.parents for folder in map(Path, _matches(str(part))))
+    return sorted({folder for folder in looked_into if folder.is_dir() and _listing_problem(folder)})
 
 
 def _absent(path: Path) -> str:
@@ -454,7 +481,7 @@ def require_several(images: Images) -> None:
         InputError: as `several`.
     """
     if isinstance(images, np.ndarray | jax.Array):
-        if images.ndim == 2 or (images.ndim == 3 and images.shape[-1] in (3, 4)):
+        if images.ndim in (0, 2) or (images.ndim == 3 and images.shape[-1] in (3, 4)):
             raise InputError(f"expected a sequence of images, got one array {images.shape}; put it in a list")
         return
     if isinstance(images, str | os.PathLike):

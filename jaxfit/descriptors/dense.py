@@ -107,7 +107,7 @@ class Dense:
 
     def aim(self, prepared: Maps, level: int, point: Point, side: Scalar, angle: Scalar) -> Places:
         """Where in the map the 4 × 4 cells (rows first) of the window of ``side`` pixels around ``point`` lie."""
-        steps = (jnp.arange(CELLS) - (CELLS - 1) / 2) * (side / CELLS)
+        steps = (jnp.arange(CELLS, dtype=side.dtype) - (CELLS - 1) / 2) * (side / CELLS)
         x, y = jnp.meshgrid(steps, steps)
         if self.turns:
             cos, sin = jnp.cos(angle), jnp.sin(angle)
@@ -172,6 +172,6 @@ def look_up(map_: Map, at: Places) -> Float[Array, "points 8"]:
 
 def turned_bins(angle: Scalar) -> Float[Array, "8 8"]:
     """What turns histograms to a frame that is turned by ``angle``: each bin is shared between the two it falls on."""
-    bins = jnp.arange(BINS)
+    bins = jnp.arange(BINS, dtype=angle.dtype)
     away = (bins[:, None] - bins[None, :] - angle / _SECTOR) % BINS
     return jnp.maximum(0.0, 1.0 - jnp.minimum(away, BINS - away))

@@ -117,7 +117,7 @@ class Sift:
         """How far the window of ``describe`` is turned, in radians, clockwise as seen."""
         if self.orientation == "principal":
             return principal_orientation(upright_window(prepared.smoothed, point, side / SAMPLES))
-        return angle if self.turns else jnp.zeros(())
+        return angle if self.turns else jnp.zeros((), jnp.float32)
 
 
 def upright_window(picture: Picture, point: Point, spacing: Scalar) -> Window:
@@ -172,7 +172,7 @@ def octant(dx: Float[Array, "*n"], dy: Float[Array, "*n"]) -> Int[Array, "*n"]:
     """Bin 0..7 of the gradients' orientations (Eq. 3), bin k covering [k, k + 1) · 45°, without slow arctangents."""
     upper = (dy > 0) | ((dy == 0) & (dx >= 0))
     x, y = jnp.where(upper, dx, -dx), jnp.where(upper, dy, -dy)
-    within_half = (y >= x).astype(jnp.int32) + (x <= 0) + (y <= -x)
+    within_half = sum(beyond.astype(jnp.int32) for beyond in (y >= x, x <= 0, y <= -x))
     return jnp.where(upper, 0, 4) + jnp.where((x == 0) & (y == 0), 0, within_half)
 
 
@@ -181,9 +181,9 @@ def principal_orientation(window: Window) -> Scalar:
     dx, dy = gradients(window)
     turns = (jnp.arctan2(dy, dx) / (2 * math.pi)) % 1.0
     bins = jnp.minimum((turns * ORIENTATION_BINS).astype(jnp.int32), ORIENTATION_BINS - 1)
-    histogram = jnp.zeros(ORIENTATION_BINS).at[bins].add(magnitude(dx, dy) * _WEIGHTS)
+    histogram = jnp.zeros(ORIENTATION_BINS, window.dtype).at[bins].add(magnitude(dx, dy) * _WEIGHTS)
     # The fullest bin is a choice: it passes no gradient, and arctan2 has none at flat places.
-    return lax.stop_gradient((jnp.argmax(histogram) + 0.5) * (2 * math.pi / ORIENTATION_BINS))
+    return lax.stop_gradient((jnp.argmax(histogram).astype(window.dtype) + 0.5) * (2 * math.pi / ORIENTATION_BINS))
 
 
 def cell_histograms(window: Window) -> Float[Array, "16 8"]:
@@ -198,7 +198,7 @@ def _sums_of_cells(weighted: Samples, bins: Int[Array, "32 32"]) -> Float[Array,
     side = SAMPLES // CELLS
     weighted, bins = weighted.reshape(CELLS, side, SAMPLES), bins.reshape(CELLS, side, SAMPLES)
 
-    each = jnp.arange(BINS)[:, None, None]
+    each = jnp.arange(BINS, dtype=jnp.int32)[:, None, None]
     # Added line by line: on CPU this is ten times faster than XLA's reductions and scatters.
     lines = [jnp.where(bins[:, i] == each, weighted[:, i], 0.0) for i in range(side)]
     cells = sum(lines[1:], start=lines[0]).reshape(BINS, CELLS, CELLS, side).sum(3)
@@ -211,6 +211,6 @@ def _change_of_sums(
 ) -> tuple[Float[Array, "16 8"], Float[Array, "16 8"]]:
     """Written so that its transpose, which gradients take, is a look-up in the 8 bins, and not a sum of lines."""
     _, bins = primals
-    change = jnp.where(bins[..., None] == jnp.arange(BINS), tangents[0][..., None], 0.0)
+    change = jnp.where(bins[..., None] == jnp.arange(BINS, dtype=jnp.int32), tangents[0][..., None], 0.0)
     side = SAMPLES // CELLS
     return _sums_of_cells(*primals), change.reshape(CELLS, side, CELLS, side, BINS).sum((1, 3)).reshape(-1, BINS)

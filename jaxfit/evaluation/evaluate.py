@@ -23,6 +23,7 @@ from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.fitting.stream import Pipeline, Progress, batches_of, compile_batches
 from jaxfit.labels.aligned import with_depth
 from jaxfit.labels.records import FaceRecord
+from jaxfit.models.digests import DigestingReader
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import exchanged, gathered, require_same, share_of
 from jaxfit.schemes.conversions import convert, sources
@@ -48,6 +49,7 @@ class Evaluation:
             the errors are not measured on the model's own landmarks; None for 2D models.
         seconds_per_face: reading, cropping and fitting, compiled, until the last process has its share; NaN if nothing
             was fitted.
+        learned: (N,) bool, whether the model learned from each face's picture; None: it does not say.
     """
 
     faces: tuple[FaceRecord, ...]
@@ -57,6 +59,7 @@ class Evaluation:
     errors: np.ndarray
     errors_3d: np.ndarray | None = None
     seconds_per_face: float = float("nan")
+    learned: np.ndarray | None = None
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -85,12 +88,14 @@ class Evaluation:
         fitted = np.array([part.fits.fitted.sum() for part in parts])
         seconds = sum(count * part.seconds_per_face for count, part in zip(fitted, parts, strict=True) if count)
         errors_3d = [part.errors_3d for part in parts if part.errors_3d is not None]
+        learned = [part.learned for part in parts if part.learned is not None]
         return replace(
             parts[0],
             faces=sum((part.faces for part in parts), ()),
             fits=fits,
             errors=np.concatenate([part.errors for part in parts]),
             errors_3d=np.concatenate(errors_3d) if errors_3d else None,
+            learned=np.concatenate(learned) if len(learned) == len(parts) else None,
             seconds_per_face=float(seconds / fitted.sum()) if fitted.sum() else float("nan"),
         )
 
@@ -243,8 +248,9 @@ def evaluate(
     """
     require_measurable(model.scheme, scheme or model.scheme, normaliser, faces)
     pipeline = Pipeline(model, starts=starts, passes=passes, read=read)
-    fits, seconds = fit_labelled(pipeline, faces, boxes, kind=kind, rotations=rotations, progress=progress)
-    return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, seconds_per_face=seconds)
+    fits, seconds, learned = fit_labelled(pipeline, faces, boxes, kind=kind, rotations=rotations, progress=progress)
+    how: dict[str, Any] = {"seconds_per_face": seconds, "learned": learned}
+    return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, **how)
 
 
 def evaluate_steps(
@@ -298,8 +304,9 @@ def fit_labelled(
     kind: str | Sequence[str] = SQUARE,
     rotations: np.ndarray | None = None,
     progress: Progress = lambda stage, done, total: None,
-) -> tuple[Fits, float]:
-    """The fits of labelled faces, a row each, and the seconds that a face took; joined processes share the pictures.
+) -> tuple[Fits, float, np.ndarray | None]:
+    """The fits of labelled faces, a row each, the seconds that a face took, and (N,) bool, which pictures the model
+    learned from, None if it does not say; joined processes share the pictures.
 
     Args:
         pipeline: how they are fitted, compiled before the time is taken.
@@ -327,13 +334,20 @@ def fit_labelled(
     if own := int(boxed[mine].sum()):
         progress("compiling (cached for later runs)", 0, len(faces))
         compile_batches(pipeline, list(dict.fromkeys(batches_of(own))))
+    reader = DigestingReader(pipeline.read or read_grey)
+    if model.learned is not None:
+        pipeline = replace(pipeline, read=reader)
     begin = time.perf_counter()
     sources_ = sources_of(
         model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine], turned[mine]
     )
     fits = fits_of_sources(pipeline, sources_, progress)
     seconds = max(exchanged(time.perf_counter() - begin))
-    return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan")
+    learned = None
+    if (digests := model.learned) is not None:
+        known = np.array([reader.among(faces[row].image, digests) for row in mine], bool)
+        learned = gathered(known, mine, len(faces))
+    return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
 
 
 def _of_all(fits: Fits, mine: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
@@ -359,6 +373,7 @@ def measure(
     normaliser: str | None = None,
     model: Model | None = None,
     seconds_per_face: float = float("nan"),
+    learned: np.ndarray | None = None,
 ) -> Evaluation:
     """The errors of fits of labelled faces.
 
@@ -369,6 +384,7 @@ def measure(
         normaliser: as in `evaluate`.
         model: what made the fits: its 3D shapes give the labels their depths. None: nothing is measured in 3D.
         seconds_per_face: that fitting took.
+        learned: (N,) bool, from whose pictures the model learned, as `fit_labelled` says; None: unknown.
 
     Raises:
         InputError: another number of faces, labels of another number of landmarks, a scheme that fits cannot be
@@ -394,6 +410,7 @@ def measure(
         errors=nmed(convert(fits.landmarks, fits.scheme, scheme), truth, scheme, normaliser),
         errors_3d=errors_3d,
         seconds_per_face=seconds_per_face,
+        learned=learned,
     )
 
 

@@ -13,6 +13,7 @@ Row = Mapping[str, object]
 # The columns of a table of datasets or methods, whose rows ``summary_row`` makes.
 SUMMARY_COLUMNS = {
     "faces": "d",
+    "learned from": "d",
     "no fit": "d",
     "unmeasured": "d",
     "mean": ".4f",
@@ -26,10 +27,19 @@ SUMMARY_COLUMNS = {
 COMPARISON_COLUMNS = {"faces": "d", "difference of medians": "+.1%", "rank-sum p": ".2g", "signed-rank p": ".2g"}
 
 
-def summary_row(errors: np.ndarray, subjects: Subjects = None) -> dict[str, object]:
-    """The row of ``SUMMARY_COLUMNS`` for errors (N,): the mean is over fitted faces, the last three count failures."""
+def summary_row(errors: np.ndarray, subjects: Subjects = None, learned: np.ndarray | None = None) -> dict[str, object]:
+    """The row of ``SUMMARY_COLUMNS`` for errors (N,): the mean is over fitted faces, the last three count failures.
+
+    ``learned`` (N,) says from which of the faces' pictures the model learned, on which it is no test: ``unknown`` if
+    None.
+    """
     summary = summarise(errors, subjects=subjects)
-    counts = (summary.faces, summary.failed, summary.unmeasured)
+    counts = (
+        summary.faces,
+        "unknown" if learned is None else int(learned.sum()),
+        summary.failed,
+        summary.unmeasured,
+    )
     values = (summary.mean, summary.ci95, summary.median, summary.auc, summary.failure)
     return dict(zip(SUMMARY_COLUMNS, counts + values, strict=True))
 

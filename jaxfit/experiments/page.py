@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 _WIDE_FIGURE = 8.5  # inches; narrower figures may stand side by side
 
 
-def write_files(report: Report, folder: Path) -> None:
-    """Write a report: ``report.html``, ``report.md``, and the files of its tables (CSV, LaTeX) and figures (SVG, PNG).
+def write_files(report: Report, folder: Path) -> list[str]:
+    """Write a report: ``report.html``, ``report.md``, and the files of its tables (CSV, LaTeX) and figures (SVG, PNG);
+    returns their paths in the folder.
 
     ``report.html`` needs no other file and no network. The others are ``tables/NAME.csv``, ``tables/NAME.tex``,
     ``figures/NAME.svg`` and ``figures/NAME.png``. The same report gives the same bytes. Figures are closed.
@@ -50,6 +51,13 @@ def write_files(report: Report, folder: Path) -> None:
         file.write(template.render(title=report.title, about=report.about, sections=sections))
     with atomic_write(folder / "report.md", "w") as file:
         file.write(markdown_text(report))
+    written = ["report.html", "report.md"]
+    for part in parts:
+        if isinstance(part, ReportTable):
+            written += [f"tables/{part.name}.{suffix}" for suffix in ("csv", "tex")]
+        elif isinstance(part, ReportFigure):
+            written += [f"figures/{part.name}.{suffix}" for suffix in ("svg", "png")]
+    return written
 
 
 def _template() -> "jinja2.Template":

@@ -20,6 +20,7 @@ _ERRORS = {
     "dataset": "",
     "method": "",
     "faces": "d",
+    "learned from": "d",
     "no fit": "d",
     "unmeasured": "d",
     "mean": ".4f",
@@ -159,7 +160,8 @@ def add_holm(tests: Sequence[dict[str, object]]) -> None:
 
 
 def _summary(dataset: DatasetResults, plan: MethodPlan, errors: np.ndarray) -> Row:
-    row = summary_row(errors, dataset.subjects)
+    learned = dataset.learned[plan.name]
+    row = summary_row(errors, dataset.subjects, None if np.isnan(learned).any() else learned)
     auc, failure = (interval(errors, subjects=dataset.subjects) for interval in (auc_ci, failure_ci))
     return {
         "dataset": dataset.name,

@@ -30,6 +30,7 @@ class DatasetResults:
         starts: by method, (initialisations, N) errors, likewise.
         fits: by method, (N, L, 2) landmarks that the chosen models find in 2D, NaN where there are none. Those of 3D
             alignment are what it aligns the head to.
+        learned: by method, (N,) from whose pictures the models learned that tested them, 0 or 1; NaN unknown.
         seconds: by method, (repetitions,) seconds a face; empty if not yet timed.
         timed: how the timing was done: ``faces`` and ``cores``; empty if not yet.
     """
@@ -41,6 +42,7 @@ class DatasetResults:
     grid: Mapping[str, np.ndarray]
     starts: Mapping[str, np.ndarray]
     fits: Mapping[str, np.ndarray]
+    learned: Mapping[str, np.ndarray]
     seconds: Mapping[str, np.ndarray]
     timed: Mapping[str, float]
 
@@ -160,6 +162,7 @@ def _dataset_results(config: Config, dataset: DatasetPlan, faces: Arrays, done: 
 
     grid = unknown(config.steps, len(config.augmentations), count)
     starts, fits = unknown(len(config.initialisations), count), unknown(count, scheme.count, 2)
+    learned = unknown(count)
     seconds, timed = {method.name: np.empty(0) for method in config.methods}, {}
     several = [config.initialisations.index(number) for number in several_starts(config)]
     for task, arrays in done.values():
@@ -177,10 +180,11 @@ def _dataset_results(config: Config, dataset: DatasetPlan, faces: Arrays, done: 
             grid[method.name][:, config.augmentations.index(task.augmentations), rows] = errors
             if task.augmentations == config.chosen_augmentations:
                 fits[method.name][rows] = arrays["landmarks"]
+                learned[method.name][rows] = arrays.get("learned", np.nan)
                 if 1 in config.initialisations:
                     single = config.initialisations.index(1)
                     starts[method.name][single, rows] = errors[config.chosen_steps - 1]
-    return DatasetResults(dataset.name, dataset.thesis, scheme, faces, grid, starts, fits, seconds, timed)
+    return DatasetResults(dataset.name, dataset.thesis, scheme, faces, grid, starts, fits, learned, seconds, timed)
 
 
 def _pose_results(done: _Done) -> Iterator[PoseResults]:

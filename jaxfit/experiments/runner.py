@@ -16,7 +16,7 @@ from jaxfit.cascade.fit import fit_crops
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.experiments.config import Config
 from jaxfit.experiments.experiment import Experiment
-from jaxfit.experiments.tasks import Task, plan_tasks
+from jaxfit.experiments.tasks import GridTask, PoseModelTask, Task, plan_tasks
 from jaxfit.fitting.stream import Progress
 from jaxfit.models.files import load
 
@@ -28,6 +28,7 @@ _BEYOND_WINDOWS = 1.3
 _TASKS_COMPILED = 8
 # What the pace of this machine is measured with: a bundled model, and on how many crops.
 _PACE_MODEL, _PACE_CROPS = "sdm68", 16
+_PACE_FACES = 24  # of a training whose time is spent on compiling
 
 
 @dataclass(frozen=True)
@@ -133,6 +134,23 @@ def seconds_per_window() -> float:
     jax.block_until_ready(fit_crops(model.cascade, crops))
     windows = _PACE_CROPS * len(model.cascade.windows) * model.scheme.count
     return _BEYOND_WINDOWS * (time.perf_counter() - begin) / windows
+
+
+def seconds_to_compile(experiment: Experiment) -> float:
+    """Roughly how long the trainings that are left compile on this machine, as measured with a training on few faces:
+    each compiles anew, as no two keep equally many components.
+
+    Raises:
+        InputError: the first dataset's faces cannot be learned from.
+    """
+    left = [task for task in plan_tasks(experiment.config) if not experiment.done(task.name)]
+    trainings = sum(isinstance(task, GridTask | PoseModelTask) for task in left)
+    first = next((task for task in left if isinstance(task, GridTask)), None)
+    if first is None:
+        return 0.0
+    begin = time.perf_counter()
+    first.train_few(experiment, _PACE_FACES)
+    return trainings * (time.perf_counter() - begin)
 
 
 @contextmanager

@@ -125,6 +125,12 @@ class GridTask:
         learned = (len(faces.records) - tested) * self.augmentations * (1 + self.methods[0].options.mirror)
         return (learned + tested) * experiment.config.steps * faces.scheme.count
 
+    def train_few(self, experiment: Experiment, count: int) -> None:
+        """Train as this does, on so many of the faces and from one start each: what that takes is compiling."""
+        faces = experiment.faces[self.dataset]
+        few = faces.chosen(faces.learned(self.fold)[:count])
+        _train(experiment, faces.scheme, few, self.methods, 1, lambda stage, done, total: None)
+
     def run(self, experiment: Experiment, progress: Progress) -> Arrays:
         """Errors (steps, faces) and, with the chosen augmentations, fits of the chosen steps and the model, kept."""
         config, faces = experiment.config, experiment.faces[self.dataset]
@@ -143,6 +149,8 @@ class GridTask:
             experiment.save_model(self.name, trained.model)
             best = results[config.chosen_steps - 1]
             arrays["landmarks"] = best.landmarks.astype(np.float32)
+            if best.learned is not None:
+                arrays["learned"] = best.learned
             if best.fits.pose is not None:
                 arrays["pose"] = best.fits.pose
         return arrays | {"problems": np.array([*trained.problems, *map(str, results[-1].fits.problems)], str)}

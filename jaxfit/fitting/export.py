@@ -23,6 +23,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.files import DAMAGE, check_target, read_header, read_usage, tensors_of, usage_of, write_tensors
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement
+from jaxfit.modes import computing
 from jaxfit.schemes.scheme import Scheme
 
 EXPORT_FORMAT = 1
@@ -68,6 +69,7 @@ class Exported:
         crops = f"{self.frame.crop} x {self.frame.crop} crops"
         return f"<exported jaxfit model: {', '.join(self.outputs)} of {self.scheme.name} in {crops}>"
 
+    @computing
     def __call__(self, crops: ArrayLike) -> dict[str, np.ndarray]:
         """What is found in any number of crops, as ``outputs`` says; not finite where a fit diverged.
 
@@ -91,6 +93,7 @@ class Exported:
         return {name: np.concatenate([part[name] for part in parts]) for name in self.outputs}
 
 
+@computing
 def export_model(model: Model, path: str | Path, starts: Starts = Starts()) -> None:
     """Write a model as programs, to ``path`` (ending in ``.safetensors``), atomically, for use without this package.
 
@@ -136,6 +139,7 @@ def export_model(model: Model, path: str | Path, starts: Starts = Starts()) -> N
     write_tensors(path, tensors, _KEY, header | {"sha256": _checksum(header, tensors)})
 
 
+@computing
 def load_exported(path: str | Path) -> Exported:
     """Load what `export_model` wrote. It is a program, and will be run: load files that you trust.
 

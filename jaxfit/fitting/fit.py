@@ -1,6 +1,6 @@
 """Fitting pictures: files or arrays in, landmarks out."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_array, rotation_array
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, ROUGH_KINDS, Detector, Search, detector_named
 from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
@@ -157,6 +157,13 @@ def name_of(image: Image) -> str:
 def passes_from(detector: Detector) -> int:
     """How often the cascade is run from the boxes of a detector, if nothing else is asked for."""
     return 2 if detector.rough else 1
+
+
+def passes_from_boxes(kinds: Iterable[str]) -> int:
+    """How often the cascade is run from boxes of these kinds in a file: as often as where the detectors that draw them
+    find faces, if all are rough ones'."""
+    kinds = {*kinds}
+    return 2 if kinds and kinds <= ROUGH_KINDS else 1
 
 
 def warm_up(model: Model, batches: Sequence[int] | None = None, starts: Starts = Starts(), passes: int = 1) -> None:

@@ -9,11 +9,13 @@ from jax import numpy as jnp
 from jaxfit.cascade.fit import centroid
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
+from jaxfit.modes import computing
 
 _SURE = 1.0001  # so that the odds of 1 are finite
 _DOUBT = 1e-9  # least weight of a fit, so that the weights of a face never sum to 0
 
 
+@computing
 def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
     """One set of landmarks for each face, from several fits of it.
 

@@ -12,6 +12,7 @@ from jaxfit.cascade.fit import Heads, heads_of
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
 from jaxfit.models.model import Model
+from jaxfit.modes import computing
 from jaxfit.shapes.space import ShapeSpace3D
 from jaxfit.types import Landmarks
 
@@ -19,6 +20,7 @@ _AT_ONCE = 4  # few, as they wait for each other
 _BATCH = 64  # faces of one compilation, whatever their number
 
 
+@computing
 def refine(model: Model, fits: Fits) -> Fits:
     """Fits of a model of 3D alignment, with the coefficients and the camera adjusted together
     (``shapes.alignment.refine_head``); slow. The 2D landmarks stay what they are.

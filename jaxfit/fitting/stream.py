@@ -33,6 +33,7 @@ from jaxfit.data.threads import cores, in_order, reading_threads
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.models.model import Model
+from jaxfit.modes import computing
 from jaxfit.shapes.pose_order import turned_poses
 from jaxfit.shapes.space import ShapeSpace3D
 
@@ -122,6 +123,7 @@ def stream(
         done += len(some)
         progress("fitting", done, pictures)
 
+    @computing
     def fit_batch(batch: _Batch) -> tuple[_Batch, _Found]:
         cut = [picture.look().faces[number] for picture, number in batch.faces]
         if all(isinstance(crop, str) for crop in cut):
@@ -532,6 +534,7 @@ def _find(
     return of_share(cascade, aligned, confidence, rotations, crops)
 
 
+@computing
 def compile_batches(pipeline: Pipeline, sizes: Sequence[int]) -> None:
     """Compile what fits batches of these sizes."""
     compute, side = _computing(pipeline), pipeline.model.cascade.frame.crop

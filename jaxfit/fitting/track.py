@@ -22,6 +22,7 @@ from jaxfit.fitting.fit import fit
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.one_euro import OneEuro, Smoothed
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.modes import computing
 from jaxfit.shapes.pose_order import wrapped_degrees
 from jaxfit.shapes.procrustes import align_similarity
 from jaxfit.types import Landmarks, Scalar
@@ -363,6 +364,7 @@ class Tracker:
         return _Face(track.id, number - track.born + 1, boxed)
 
 
+@computing
 def upright_rotation(model: Model, landmarks: np.ndarray) -> float:
     """How far a face with these landmarks (L, 2) is turned in the picture, in degrees, clockwise as seen."""
     return math.degrees(float(_rotation(model.mean_face, landmarks)))

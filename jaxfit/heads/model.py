@@ -10,6 +10,7 @@ from safetensors.numpy import load as parse_tensors
 
 from jaxfit.errors import InputError, ModelError
 from jaxfit.models.files import DAMAGE, check_target, names_in, read_header, read_named, write_tensors
+from jaxfit.modes import computing
 from jaxfit.schemes.conversions import sources
 from jaxfit.schemes.known import LFPW27, LFPW29, scheme_named
 from jaxfit.schemes.scheme import Scheme
@@ -59,6 +60,7 @@ class HeadModel:
             raise InputError(f"this head model has no points of scheme {scheme.name}; it has {', '.join(self.sets)}")
         return self.sets[scheme.name]
 
+    @computing
     def of_points(self, chosen: Sequence[int], variance: float) -> ActiveShapeModel:
         """As :meth:`of`, of the points of given indices.
 
@@ -86,6 +88,7 @@ class HeadModel:
         )
 
 
+@computing
 def learn_head_model(heads: np.ndarray, sets: Mapping[str, tuple[int, ...]], variance: float, source: str) -> HeadModel:
     """The head model of many heads: generalised Procrustes analysis, then PCA.
 
@@ -116,6 +119,7 @@ def learn_head_model(heads: np.ndarray, sets: Mapping[str, tuple[int, ...]], var
     return HeadModel(learn_shape_model(found.aligned * float(radii.mean()), variance), sets, source)
 
 
+@computing
 def save_head_model(head: HeadModel, path: str | Path) -> None:
     """Write a head model to ``path`` (ending in ``.safetensors``), atomically; the same model gives the same bytes.
 
@@ -137,6 +141,7 @@ def bundled_head_models() -> list[str]:
     return names_in(_BUNDLED)
 
 
+@computing
 def load_head_model(name: str | Path = DEFAULT_HEAD_MODEL) -> HeadModel:
     """Load a bundled head model by name, or a file of one by path.
 

@@ -66,7 +66,10 @@ class Warp(NamedTuple):
     def picture(self, picture: Picture) -> Picture:
         """The new picture; beyond the old one its edge is repeated."""
         height, width = picture.shape
-        x, y = jnp.meshgrid(jnp.arange(width) - self.about[0], jnp.arange(height) - self.about[1])
+        kind = picture.dtype
+        x, y = jnp.meshgrid(
+            jnp.arange(width, dtype=kind) - self.about[0], jnp.arange(height, dtype=kind) - self.about[1]
+        )
         matrix = self.matrix
         return bilinear(
             pack(picture),
@@ -77,7 +80,7 @@ class Warp(NamedTuple):
 
 def draw_warp(key: Array, amounts: Disturbance, about: Point) -> Warp:
     """A random rotation, scale and shear about a point."""
-    turn, grow, lean = random.normal(key, (3,))
+    turn, grow, lean = random.normal(key, (3,), jnp.float32)
     angle, shear = amounts.rotation * turn, amounts.shear * lean
     cos, sin = jnp.cos(angle), jnp.sin(angle)
     turned = jnp.array([[cos, -sin], [sin, cos]])
@@ -92,13 +95,13 @@ def spoiled(key: Array, picture: Picture, amounts: Disturbance) -> Picture:
         picture = _blurred(of_blur, picture, amounts.blur)
     if amounts.noise:
         strength, pattern = random.split(of_noise)
-        deviation = amounts.noise * jnp.abs(random.normal(strength))
+        deviation = amounts.noise * jnp.abs(random.normal(strength, (), jnp.float32))
         picture = picture + deviation * _grain(pattern, *picture.shape)
     return _partly_hidden(of_hidden, picture, amounts.hidden) if amounts.hidden else picture
 
 
 def _blurred(key: Array, picture: Picture, share: float) -> Picture:
-    amount, whether = random.uniform(key, (2,))
+    amount, whether = random.uniform(key, (2,), jnp.float32)
     times = jnp.where(whether < share, _BLURS * amount, 0.0)
     for done in range(_BLURS):
         # One after the other, lest what leads to a pixel is computed again for each of its neighbours.
@@ -118,19 +121,19 @@ def _grain(key: Array, height: int, width: int) -> Picture:
     """White noise of standard deviation 1, from anywhere in one pattern: new noise takes longer than all the rest."""
     with jax.ensure_compile_time_eval():
         pattern = jnp.asarray(np.random.default_rng(0).normal(size=(_GRAIN, _GRAIN)), jnp.float32)
-    down, across = random.randint(key, (2,), 0, _GRAIN)
-    rows = pattern[(down + jnp.arange(height)) % _GRAIN]
-    return rows[:, (across + jnp.arange(width)) % _GRAIN]
+    down, across = random.randint(key, (2,), 0, _GRAIN, jnp.int32)
+    rows = pattern[(down + jnp.arange(height, dtype=jnp.int32)) % _GRAIN]
+    return rows[:, (across + jnp.arange(width, dtype=jnp.int32)) % _GRAIN]
 
 
 def _partly_hidden(key: Array, picture: Picture, share: float) -> Picture:
     height, width = picture.shape
-    centre, sides, rest = (random.uniform(part, (2,)) for part in random.split(key, 3))
+    centre, sides, rest = (random.uniform(part, (2,), jnp.float32) for part in random.split(key, 3))
     low, high = _HIDDEN_SIDES
     half = (low + (high - low) * sides) / 2
 
     def within(size: int, centre: Scalar, half: Scalar) -> Array:
-        return jnp.abs(jnp.arange(size) / size - centre) < half
+        return jnp.abs(jnp.arange(size, dtype=centre.dtype) / size - centre) < half
 
     inside = within(height, centre[1], half[1])[:, None] & within(width, centre[0], half[0])
     whether, grey = rest

@@ -19,7 +19,7 @@ def split(
     coordinates = jnp.clip(coordinates, 0.0, size - 1.0)
     # The last cell is closed on both sides, so that the last pixel needs no neighbour beyond the edge.
     before = jnp.minimum(coordinates.astype(jnp.int32), size - 2)
-    return before, coordinates - before
+    return before, coordinates - before.astype(coordinates.dtype)
 
 
 def pack(picture: Picture) -> Packed:

@@ -7,6 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxfit.modes import computing
 from jaxfit.shapes.alignment import Alignment, Weights, align_head
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.camera import pose_degrees, rotation_angles, show
@@ -36,6 +37,7 @@ class AlignedHeads:
     ok: np.ndarray
 
 
+@computing
 def align_labels(model: ActiveShapeModel, labels: np.ndarray) -> AlignedHeads:
     """Align a 3D shape model to each face's labels (:func:`~jaxfit.shapes.alignment.align_head`).
 

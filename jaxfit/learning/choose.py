@@ -24,6 +24,7 @@ from jaxfit.learning.methods import Options
 from jaxfit.learning.prepare import usable_faces
 from jaxfit.learning.train import train
 from jaxfit.models.model import Model
+from jaxfit.modes import computing
 from jaxfit.schemes.normalisers import default_normaliser
 from jaxfit.schemes.scheme import Scheme
 
@@ -94,6 +95,7 @@ def default_candidates(options: Options) -> dict[str, tuple[Any, ...]]:
     }
 
 
+@computing
 def choose_options(
     faces: Sequence[FaceRecord],
     scheme: Scheme,

@@ -38,7 +38,9 @@ from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.learning.prepare import SILENT
 from jaxfit.learning.train import train
+from jaxfit.models.digests import union
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.modes import computing, mixing_types
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import mirrored
 
@@ -94,6 +96,7 @@ class SampledFits:
         return self.errors < LIMIT
 
 
+@computing
 def learn_confidence(
     model: Model,
     faces: Sequence[FaceRecord],
@@ -134,6 +137,7 @@ def learn_confidence(
     parts = split_by_subject(people, folds, seed)
     projection: Projection | None = None
     seen: list[_Seen] = []
+    pictures = model.learned
     for fold in range(folds):
         told = partial(_told, progress, f"fold {fold + 1}/{folds}: ")
         learned = [face for face, part in zip(faces, parts, strict=True) if part != fold]
@@ -142,6 +146,7 @@ def learn_confidence(
         trained = retuned(
             trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=told, read=read
         )
+        pictures = union(pictures, trained.learned)
         drawn = _drawn(trained, tested, seed, read, told)
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
@@ -150,9 +155,10 @@ def learn_confidence(
     progress("learning how likely fits are good", 0, 1)
     confidence = _learned(seen, projection, seed) if projection else None
     progress("learning how likely fits are good", 1, 1)
-    return replace(model, confidence=confidence)
+    return replace(model, confidence=confidence, learned=pictures)
 
 
+@computing
 def sample_fits(
     model: Model,
     faces: Sequence[FaceRecord],
@@ -243,7 +249,7 @@ class _Nothing:
     """Of models without a confidence."""
 
     def __call__(self, clues: Clues) -> Array:
-        return jnp.full((), jnp.nan)
+        return jnp.full((), jnp.nan, jnp.float32)
 
 
 class _Features:
@@ -446,8 +452,10 @@ def _trained(inputs: Float[Array, "samples inputs"], good: Array, seed: int) -> 
     at_once = min(_AT_ONCE, count)
     steps = _EPOCHS * (count // at_once)
     first, order = random.split(random.key(seed))
-    weights = random.normal(first, (inputs.shape[1], _HIDDEN)) / jnp.sqrt(inputs.shape[1])
-    network = _Network(weights, jnp.zeros(_HIDDEN), jnp.zeros(_HIDDEN), jnp.zeros(()))
+    weights = random.normal(first, (inputs.shape[1], _HIDDEN), inputs.dtype) / np.sqrt(inputs.shape[1]).astype(
+        np.float32
+    )
+    network = _Network(weights, *(jnp.zeros(shape, inputs.dtype) for shape in (_HIDDEN, _HIDDEN, ())))
     optimiser = optax.adamw(optax.cosine_decay_schedule(_RATE, steps), weight_decay=_DECAY)
 
     def loss(network: _Network, rows: Array) -> Array:
@@ -455,7 +463,9 @@ def _trained(inputs: Float[Array, "samples inputs"], good: Array, seed: int) -> 
 
     def step(state: tuple[_Network, Any], rows: Array) -> tuple[tuple[_Network, Any], None]:
         network, moments = state
-        updates, moments = optimiser.update(jax.grad(loss)(network, rows), moments, network)
+        slopes = jax.grad(loss)(network, rows)
+        with mixing_types():
+            updates, moments = optimiser.update(slopes, moments, network)
         return (optax.apply_updates(network, updates), moments), None
 
     def epoch(state: tuple[_Network, Any], key: Array) -> tuple[tuple[_Network, Any], None]:

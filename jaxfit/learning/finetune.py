@@ -21,8 +21,10 @@ from jaxfit.image.disturb import Disturbance
 from jaxfit.labels.lifting import Lifted, fill_labels
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.models.digests import digest_set, union
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.modes import computing
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import Scheme, mirror_order
 
@@ -48,6 +50,7 @@ class Finetuned:
     problems: tuple[str, ...]
 
 
+@computing
 def finetune(
     model: Model,
     faces: Sequence[FaceRecord],
@@ -98,7 +101,7 @@ def finetune(
     landmarks = np.stack([face.landmarks for face in usable])
     squares = np.stack([bounding_square(points) for points in landmarks])
     placement = model.placement(SQUARE)
-    crops, rows, unread = cut_labelled(usable, squares, placement, model.cascade.frame, read, progress)
+    crops, rows, unread, digests = cut_labelled(usable, squares, placement, model.cascade.frame, read, progress)
     problems += unread
     if len(rows) < 2:
         raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
@@ -128,7 +131,13 @@ def finetune(
     made = {"faces": int((~aside).sum()), "validation": validation, "mirror": mirror, **asdict(tuning)}
     training = model.training | {"finetuned": made}
     return Finetuned(
-        replace(model, cascade=cascade, training=training, confidence=None),
+        replace(
+            model,
+            cascade=cascade,
+            training=training,
+            confidence=None,
+            learned=union(model.learned, digest_set(digests)),
+        ),
         int((~aside).sum()),
         np.asarray(errors),
         tuple(problems),

@@ -15,6 +15,7 @@ from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.files import load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
+from jaxfit.modes import computing
 from jaxfit.schemes.known import IBUG68, NO_LANDMARKS
 
 _DETECTOR = "haar-frontal"
@@ -25,6 +26,7 @@ _FEWEST = 10
 _FRONTAL = 15
 
 
+@computing
 def calibrate_boxes(
     model: Model,
     faces: Sequence[FaceRecord],

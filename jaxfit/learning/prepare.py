@@ -12,6 +12,7 @@ from jaxfit.data.pictures import to_grey
 from jaxfit.errors import ImageError
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import FaceRecord
+from jaxfit.models.digests import picture_digest
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.scheme import Scheme, mirrored
 
@@ -54,13 +55,15 @@ def cut_labelled(
     read: Callable[[Path], np.ndarray],
     progress: Progress,
     look: Callable[[int, np.ndarray], None] = lambda number, grey: None,
-) -> tuple[Crops, np.ndarray, list[str]]:
-    """The crops of faces in squares (N, 4), which of them could be read (M,), and why others could not.
+) -> tuple[Crops, np.ndarray, list[str], list[int]]:
+    """The crops of faces in squares (N, 4), which of them could be read (M,), why others could not, and the digests of
+    the pictures that could, one a picture.
 
     ``look`` is shown the number and the grey picture of each face.
     """
     crops = Crops.empty(len(faces), frame)
     rows, problems = [], []
+    digests: dict[Path, int] = {}
     for number, face in enumerate(faces):
         progress("reading pictures", number, len(faces))
         try:
@@ -69,10 +72,12 @@ def cut_labelled(
             problems.append(str(error))
             continue
         rows.append(number)
+        if face.image not in digests:
+            digests[face.image] = picture_digest(grey)
         cut(grey, *placement.face_in(squares[number]), crops, number)
         look(number, grey)
     progress("reading pictures", len(faces), len(faces))
-    return crops, np.array(rows, int), problems
+    return crops, np.array(rows, int), problems, list(digests.values())
 
 
 def training_set(

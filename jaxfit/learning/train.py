@@ -18,8 +18,10 @@ from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options, camera_asm, method_named, view_of
 from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.models.digests import digest_set
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
+from jaxfit.modes import computing
 from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.schemes.scheme import Scheme, mirror_order
 from jaxfit.shapes.points import mean_face
@@ -47,6 +49,7 @@ class Trained:
     problems: tuple[str, ...]
 
 
+@computing
 def train(
     faces: Sequence[FaceRecord],
     scheme: Scheme,
@@ -121,9 +124,9 @@ def train(
                 detected.append((number, match.kind, match.box.tolist(), match.rotation))
 
     own = [complete[number] for number in mine]
-    crops, rows, why = cut_labelled(own, squares[mine], placement, frame, read, progress, look)
+    crops, rows, why, digests = cut_labelled(own, squares[mine], placement, frame, read, progress, look)
     unread = list(zip(np.setdiff1d(mine, mine[rows]).tolist(), why, strict=True))
-    parts = exchanged([unread, detected, len(rows)])
+    parts = exchanged([unread, detected, len(rows), digests])
     problems += [why for _, why in sorted(each for part in parts for each in part[0])]
     readable = np.setdiff1d(np.arange(len(complete)), [number for part in parts for number, _ in part[0]])
     if len(readable) < 2:
@@ -155,6 +158,7 @@ def train(
             {SQUARE: placement, **in_boxes},
             _summary(method, options, len(readable)),
             aligned=space_3d if kind.aligns else None,
+            learned=digest_set(digest for part in parts for digest in part[3]),
         ),
         len(readable),
         tuple(problems),

@@ -21,6 +21,7 @@ from jaxfit.errors import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement, read_placement
+from jaxfit.modes import computing
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes import SPACES
@@ -32,6 +33,7 @@ BUNDLED = "jaxfit.models"  # the package that models come with
 DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
+_LEARNED = "learned"  # digests, optional, and no parameters
 # What parsing may raise whatever the bytes.
 DAMAGE = (
     SafetensorError,
@@ -45,6 +47,7 @@ DAMAGE = (
 )
 
 
+@computing
 def save(model: Model, path: str | Path) -> None:
     """Write a model to ``path`` (ending in ``.safetensors``), atomically; the same model gives the same bytes.
 
@@ -67,7 +70,8 @@ def save(model: Model, path: str | Path) -> None:
         **usage_of(model),
         "training": model.training,
     }
-    write_tensors(path, tensors_of(model), _KEY, header)
+    learned = {} if model.learned is None else {_LEARNED: model.learned}
+    write_tensors(path, tensors_of(model) | learned, _KEY, header)
 
 
 def bundled() -> list[str]:
@@ -75,6 +79,7 @@ def bundled() -> list[str]:
     return names_in(BUNDLED)
 
 
+@computing
 def load(name: str | Path = DEFAULT_MODEL) -> Model:
     """Load a bundled model by name, or a model file by path.
 
@@ -195,6 +200,9 @@ def read_header(data: bytes, key: str, version: int, kind: str, made: str = "tra
 def _parse(data: bytes) -> Model:
     header = read_header(data, _KEY, FORMAT, "model")
     tensors = parse_tensors(data)
+    learned = tensors.pop(_LEARNED, None)
+    if learned is not None and (learned.dtype != np.uint64 or learned.ndim != 1 or (np.diff(learned) == 0).any()):
+        raise ModelError(f"damaged: {_LEARNED} has {learned.dtype} {learned.shape}, expected digests, uint64 (N,)")
     frame, scheme, placements = read_usage(header)
     return Model(
         cascade=_cascade(header, tensors, frame, scheme.count),
@@ -203,6 +211,7 @@ def _parse(data: bytes) -> Model:
         aligned=_aligned(tensors, scheme.count),
         confidence=_confidence(tensors),
         training=header["training"],
+        learned=learned,
     )
 
 

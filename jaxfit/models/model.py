@@ -1,6 +1,6 @@
 """A model: a trained cascade with what is needed to use it on pictures."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +12,9 @@ from jaxfit.cascade.fit import space_3d_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.starts import Starts
 from jaxfit.errors import InputError
+from jaxfit.models.digests import Digests
 from jaxfit.models.placements import Placement, placements_of
+from jaxfit.modes import own_modes
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.space import ShapeSpace3D, Start
 
@@ -32,6 +34,8 @@ class Model:
         aligned: for 3D alignment, the 3D shape space that is aligned to the landmarks which the cascade finds; None for
             other methods.
         confidence: how likely its fits are good; None: it was not learned.
+        learned: (N,) uint64, sorted: digests of the pictures that it learned from, of their grey pixels, so that they
+            are known under other names, too; None: it does not say, as models of earlier versions.
     """
 
     cascade: Cascade
@@ -40,6 +44,7 @@ class Model:
     training: dict[str, Any] = field(default_factory=dict)
     aligned: ShapeSpace3D | None = None
     confidence: Confidence | None = None
+    learned: Digests | None = None
 
     def __post_init__(self) -> None:
         if SQUARE not in self.placements:
@@ -61,8 +66,15 @@ class Model:
     def mean_face(self) -> np.ndarray:
         """(L, 2) float32: the mean face, upright and seen from the front, in crop pixels, its centroid at 0."""
         space = self.cascade.space
-        mean = space.landmarks(space.place(Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))))
-        return np.asarray(mean - mean.mean(0))
+        with own_modes():
+            upright = Start(*(jnp.array(each, jnp.float32) for each in ([0.0, 0.0], 1.0, 0.0)))
+            mean = space.landmarks(space.place(upright))
+            return np.asarray(mean - mean.mean(0))
+
+    def unshifted(self) -> "Model":
+        """The model whose fits lie on what they mark, even where labels lay beside it by ``cascade.frame.shift`` pixels
+        and fits, to be comparable with them, lie there, too."""
+        return replace(self, cascade=replace(self.cascade, frame=replace(self.cascade.frame, shift=0.0)))
 
     @property
     def starts(self) -> Starts:

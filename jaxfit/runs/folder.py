@@ -36,7 +36,7 @@ from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
-from jaxfit.fitting.fit import passes_from, require_no_search
+from jaxfit.fitting.fit import passes_from, passes_from_boxes, require_no_search
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
@@ -67,12 +67,14 @@ class FolderRun:
         detector: what finds the faces: its name, as in ``jaxfit.detect_faces``; None takes the default one.
         search: how faces are looked for.
         boxes: a CSV file of face boxes with the columns image, x, y, width and height, and rotation if faces are
-            turned, instead of a detector; ``landmarks.csv`` of another run is such a file. ``image`` is a path,
+            turned, instead of a detector; ``landmarks.csv`` of another run is such a file, and where a rough detector
+            drew all of its boxes, they are fitted in two passes as the detector's are. ``image`` is a path,
             absolute or relative to the file, to one of ``folders`` or to the working folder; or the end of one, such as
             a bare file name, where only one picture's path ends so.
         folders: that the pictures were found in.
         box_kind: what drew those boxes; None takes what the file's column box says, and squares where it says nothing.
         starts: of each face.
+        unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
         overlays: write pictures with the faces drawn over them.
@@ -91,6 +93,7 @@ class FolderRun:
     folders: tuple[str | Path, ...] = ()
     box_kind: str | None = None
     starts: Starts = field(default_factory=Starts)
+    unshift: bool = False
     refine: bool = False
     formats: tuple[str, ...] = DEFAULT_FORMATS
     overlays: bool = True
@@ -115,6 +118,7 @@ class FolderRun:
             "box_kind": self.box_kind,
             "folders": list(map(str, self.folders if self.boxes else ())),
             "starts": vars(self.starts),
+            "unshift": self.unshift,
             "refine": self.refine,
             "overlays": self.overlays,
             **files,
@@ -176,6 +180,7 @@ def fit_folder(
     """
     out = Path(run.out)
     model = load(run.model)
+    model = model.unshifted() if run.unshift else model
     pipeline, named = _pipeline(run, model)
     # Overlays of a run before this one are no pictures to fit.
     files = [path for path in map(Path, pictures) if out.absolute() not in path.absolute().parents]
@@ -275,7 +280,9 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, Mapping[str, Sequ
     if run.detector is not None:
         raise InputError("expected boxes or a detector that finds them; got both")
     require_no_search(run.search)
-    return Pipeline(model, starts=run.starts), read_known_boxes(run.boxes, run.box_kind, model)
+    named = read_known_boxes(run.boxes, run.box_kind, model)
+    passes = passes_from_boxes(box.kind for boxes in named.values() for box in boxes)
+    return Pipeline(model, starts=run.starts, passes=passes), named
 
 
 def _boxes_of(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxfit.data.detectors import Detector
-from jaxfit.data.headers import is_heic, stored_size
+from jaxfit.data.headers import JPEG, PNG, is_heic, looks_like_picture, stored_size
 from jaxfit.data.overlays import outline_of, solid_points
 from jaxfit.data.pictures import decode_image, require_heif
 from jaxfit.data.rows import Row, rounded
@@ -81,6 +81,11 @@ class Service:
             require_heif()
         size = stored_size(data)
         if size is None:
+            if looks_like_picture(data) and not is_heic(data) and not data.startswith((JPEG, PNG, b"RIFF", b"BM")):
+                raise ImageError(
+                    "the picture: of a format that the page does not take, such as GIF, TIFF or AVIF, which `jaxfit "
+                    "fit` reads; convert it to JPEG, PNG, WebP, BMP or HEIC"
+                )
             raise ImageError("the picture: not a JPEG, PNG, WebP, BMP or HEIC file, or damaged")
         if size[0] * size[1] > MOST_PIXELS:
             most = MOST_PIXELS // 1_000_000

@@ -8,6 +8,7 @@ from jax import lax
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxfit.modes import mixing_types
 from jaxfit.shapes.asm import ActiveShapeModel, Coefficients
 from jaxfit.shapes.camera import Camera, align_shapes, rotation_angles, rotation_matrix, show
 from jaxfit.types import Landmarks, Landmarks3D, Scalar
@@ -60,13 +61,13 @@ def align_head(
             over in each round, 0 trusts them fully, as the thesis does.
         most_rounds: after so many the best so far is given.
     """
-    weights = jnp.ones(len(points)) if weights is None else weights
+    weights = jnp.ones(len(points), points.dtype) if weights is None else weights
     known = jnp.where((weights > 0)[:, None], points, 0.0)
 
     def seen_with(b: Coefficients) -> Alignment:
         head = model.reconstruct(b)
         camera = align_shapes(head, points, weights)
-        return Alignment(b, camera, _error(show(head, camera), known, weights), jnp.array(0))
+        return Alignment(b, camera, _error(show(head, camera), known, weights), jnp.array(0, jnp.int32))
 
     def another(state: tuple[Alignment, Scalar]) -> tuple[Alignment, Scalar]:
         best, _ = state
@@ -79,8 +80,8 @@ def align_head(
         best, before = state
         return best.camera.ok & (best.error < (1 - _AT_REST) * before) & (best.rounds < most_rounds)
 
-    start = seen_with(jnp.zeros(len(model.deviations)))
-    return lax.while_loop(falling, another, (start, jnp.array(jnp.inf)))[0]
+    start = seen_with(jnp.zeros_like(model.deviations))
+    return lax.while_loop(falling, another, (start, jnp.full_like(start.error, jnp.inf)))[0]
 
 
 def refine_head(
@@ -105,14 +106,14 @@ def refine_head(
         noise: standard deviation of the landmarks' errors, in the model's unit; None estimates it from the alignment.
         steps: of L-BFGS.
     """
-    weights = jnp.ones(len(points)) if weights is None else weights
+    weights = jnp.ones(len(points), points.dtype) if weights is None else weights
     known = jnp.where((weights > 0)[:, None], points, 0.0)
     start = alignment.camera
     angles = rotation_angles(start.rotation)
     # A step of 1 in an angle or in the scale's logarithm then moves the landmarks about as far as one in the first b.
     reach = model.deviations[0] / jnp.sqrt(jnp.sum(model.mean**2))
     explained, _ = _evidence(model, known, weights, alignment)
-    variance = _variance(model, known, weights, alignment, explained) if noise is None else jnp.array(noise**2)
+    variance = _variance(model, known, weights, alignment, explained) if noise is None else noise**2
     precision = 1 / jnp.maximum(variance, 1e-6)
 
     def aligned(step: Float[Array, "params"]) -> tuple[Coefficients, Camera]:
@@ -134,10 +135,11 @@ def refine_head(
     def another(state: tuple[Array, optax.OptState], _: None) -> tuple[tuple[Array, optax.OptState], None]:
         step, memory = state
         value, slope = value_and_slope(step, state=memory)
-        update, memory = optimiser.update(slope, memory, step, value=value, grad=slope, value_fn=cost)
+        with mixing_types():
+            update, memory = optimiser.update(slope, memory, step, value=value, grad=slope, value_fn=cost)
         return (step + update, memory), None
 
-    first = jnp.concatenate([alignment.b / model.deviations, jnp.zeros(_POSE)])
+    first = jnp.concatenate([alignment.b / model.deviations, jnp.zeros(_POSE, alignment.b.dtype)])
     last = lax.scan(another, (first, optimiser.init(first)), None, length=steps)[0][0]
     better = start.ok & (cost(last) < cost(first))
     b, camera = jax.tree.map(partial(jnp.where, better), aligned(last), (alignment.b, start))
@@ -149,8 +151,8 @@ def _coefficients(
 ) -> Coefficients:
     """The most likely b for landmarks: B₂D† (L₂D - B₂D₀) of Figure 7, with a prior on b and a camera that follows."""
     explained, right = _evidence(model, points, weights, best)
-    variance = _variance(model, points, weights, best, explained) if noise is None else jnp.array(noise**2)
-    return model.deviations * _solve(explained + variance * jnp.eye(len(explained)), right)
+    variance = _variance(model, points, weights, best, explained) if noise is None else noise**2
+    return model.deviations * _solve(explained + variance * jnp.eye(len(explained), dtype=explained.dtype), right)
 
 
 def _evidence(
@@ -183,7 +185,7 @@ def _variance(
     camera, told = alignment.camera, 2 * weights.sum()
     apart = (show(model.reconstruct(alignment.b), camera)[:, :2] - points) / jnp.maximum(camera.scale, 1e-6)
     squares = jnp.maximum(jnp.sum(weights[:, None] * apart**2), 1e-12)
-    prior = squares / jnp.maximum(told, 1e-12) * jnp.eye(len(explained))
+    prior = squares / jnp.maximum(told, 1e-12) * jnp.eye(len(explained), dtype=explained.dtype)
     spent = _POSE + jnp.trace(_solve(explained + prior, explained))
     return squares / jnp.maximum(told - spent, 1.0)
 
@@ -205,4 +207,4 @@ def _error(seen: Landmarks3D, points: Landmarks, weights: Weights) -> Scalar:
 @jax.custom_batching.sequential_vmap
 def _solve(normal: Float[Array, "n n"], right: Float[Array, "n *more"]) -> Float[Array, "n *more"]:
     """By normal equations with a trace of damping, for what the view does not show."""
-    return jnp.linalg.solve(normal + 1e-7 * jnp.trace(normal) * jnp.eye(len(normal)), right)
+    return jnp.linalg.solve(normal + 1e-7 * jnp.trace(normal) * jnp.eye(len(normal), dtype=normal.dtype), right)

@@ -92,7 +92,7 @@ def in_plane(rotation: Rotation) -> Scalar:
 
 def turn_in_plane(angle: Scalar) -> Rotation:
     """The rotation by ``angle`` radians, clockwise as seen, about ``z``."""
-    return rotation_matrix(-angle, jnp.zeros(()), jnp.zeros(()))
+    return rotation_matrix(-angle, jnp.zeros_like(angle), jnp.zeros_like(angle))
 
 
 def rq(matrix: Float[Array, "3 3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
@@ -142,7 +142,7 @@ def align_shapes(head: Landmarks3D, points: Landmarks, weights: Float[Array, "la
     third = jnp.cross(first, second)
     spread = jnp.vdot(third, third) > _FLAT**2 * jnp.maximum(jnp.vdot(first, first), jnp.vdot(second, second)) ** 2
     ok = deep & spread & (known.sum() >= _FEWEST) & (size_2d > 1e-5) & jnp.isfinite(size_2d + size_3d)
-    scales, rotation = rq(jnp.where(ok, jnp.stack([first, second, third]), jnp.eye(3)))
+    scales, rotation = rq(jnp.where(ok, jnp.stack([first, second, third]), jnp.eye(3, dtype=first.dtype)))
     scale = (scales[0, 0] + scales[1, 1]) / 2 * jnp.where(jnp.isfinite(size_2d), size_2d, 1.0) / size_3d
     place = middle_2d - scale * jnp.matmul(rotation, middle_3d, precision=_EXACT)[:2]
     return Camera(scale, rotation, jnp.where(jnp.isfinite(place), place, 0.0), ok)

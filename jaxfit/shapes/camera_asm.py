@@ -105,15 +105,15 @@ class CameraASM:
     def _restricted(self, landmarks: Landmarks, found: Alignment) -> Params:
         b, camera, _, _ = found
         inside = self.model.restrict(b, self.sigmas)
-        again = align_shapes(self.model.reconstruct(inside), landmarks, jnp.ones(len(landmarks)))
+        again = align_shapes(self.model.reconstruct(inside), landmarks, jnp.ones(len(landmarks), landmarks.dtype))
         scale, rotation, place, ok = jax.tree.map(partial(jnp.where, (inside == b).all()), camera, again)
         return _joined(inside, scale, place, jnp.where(ok, rotation_angles(rotation), jnp.nan))
 
     def place(self, start: Start) -> Params:
         """The mean face, b = 0, from the front, at a start."""
-        straight = jnp.zeros(())
+        straight = jnp.zeros_like(start.rotation)
         angles = jnp.stack([wrapped(-start.rotation), straight, straight])
-        return _joined(jnp.zeros(len(self.model.deviations)), start.scale, start.centre, angles)
+        return _joined(jnp.zeros_like(self.model.deviations), start.scale, start.centre, angles)
 
     def difference(self, target: Params, params: Params) -> Float[Array, "params"]:
         """b and the angles by difference, these the shorter way round; the place in units of s; s by log ratio.

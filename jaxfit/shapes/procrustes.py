@@ -77,7 +77,7 @@ def generalised_procrustes(
         new = _normalised(aligned.mean(0))
         return new, jnp.sqrt(jnp.mean(jnp.sum((new - mean) ** 2, 1))), rounds + 1
 
-    first = (unit[0], jnp.array(jnp.inf), jnp.array(0))
+    first = (unit[0], jnp.array(jnp.inf, unit.dtype), jnp.array(0, jnp.int32))
     mean, moved, rounds = lax.while_loop(
         lambda state: (state[1] >= tolerance) & (state[2] < most_rounds), another, first
     )
@@ -92,7 +92,7 @@ def _best_rotation(
     """The rotation R, never a reflection, that brings ``points @ R`` nearest to ``target`` (Kabsch)."""
     left, _, right = jnp.linalg.svd(jnp.matmul(points.T, target, precision=_EXACT))
     sign = jnp.sign(jnp.linalg.det(jnp.matmul(left, right, precision=_EXACT)))
-    return jnp.matmul(left * jnp.ones(len(left)).at[-1].set(sign), right, precision=_EXACT)
+    return jnp.matmul(left * jnp.ones(len(left), left.dtype).at[-1].set(sign), right, precision=_EXACT)
 
 
 def _normalised(points: Float[Array, "landmarks dimensions"]) -> Float[Array, "landmarks dimensions"]:

@@ -74,14 +74,14 @@ class SimilarityASM:
         """
         start = align_similarity(landmarks, self.model.mean)
         params = self.place(start._replace(scale=jnp.maximum(start.scale, 1e-6)))
-        everything = jnp.ones(self.size)
+        everything = jnp.ones(self.size, landmarks.dtype)
         for free in (everything, everything.at[:-_POSE].set(0.0)):
             params = lax.fori_loop(0, _ROUNDS, _improved, (self, landmarks, free, params))[-1]
         return params
 
     def place(self, start: Start) -> Params:
         """The mean face, b = 0, at a start."""
-        b = jnp.zeros(len(self.model.deviations))
+        b = jnp.zeros_like(self.model.deviations)
         return _joined(b, jnp.stack([start.scale, start.scale]), start.centre, start.rotation)
 
     def difference(self, target: Params, params: Params) -> Float[Array, "params"]:
@@ -115,8 +115,8 @@ def _improved(_: Array, search: _Search) -> _Search:
     """A round of Gauss-Newton: a space, landmarks, 1 for parameters that may change and 0 for others, parameters."""
     space, landmarks, free, params = search
     size = space.scale(params)  # errors in canonical pixels: the same problem for faces of all sizes
-    units = jnp.concatenate([space.model.deviations, jnp.ones(_POSE)]) * free
-    slopes = jax.jacfwd(lambda step: space.landmarks(space._moved(params, step)))(jnp.zeros(space.size))
+    units = jnp.concatenate([space.model.deviations, jnp.ones(_POSE, params.dtype)]) * free
+    slopes = jax.jacfwd(lambda step: space.landmarks(space._moved(params, step)))(jnp.zeros_like(params))
     missing = (landmarks - space.landmarks(params)) / size
     step = units * _least_squares(slopes.reshape(-1, space.size) / size * units, missing.reshape(-1))
     b, log_ratios, move, turn = _parts(step)
@@ -146,7 +146,8 @@ def learn_similarity_asm(
         )
     pixels = side / jnp.ptp(found.mean, 0).max()
     model = learn_shape_model(unstretched(found.aligned * pixels, found.mean * pixels), variance)
-    return SimilarityASM(model, jnp.float32(likely_radius(len(model.deviations)) if sigmas is None else sigmas))
+    radius = likely_radius(len(model.deviations)) if sigmas is None else sigmas
+    return SimilarityASM(model, jnp.asarray(radius, model.mean.dtype))
 
 
 def unstretched(aligned: Float[Array, "faces landmarks 2"], mean: Landmarks) -> Float[Array, "faces landmarks 2"]:
@@ -155,7 +156,7 @@ def unstretched(aligned: Float[Array, "faces landmarks 2"], mean: Landmarks) -> 
     Modes that could stretch the mean, too, would leave open what is b and what is scale. (What is left cannot turn a
     mean that is symmetric, as faces nearly are, either.)
     """
-    axes = jnp.eye(2)[:, None, :] * mean  # (2, L, 2): the mean's x alone, its y alone
+    axes = jnp.eye(2, dtype=mean.dtype)[:, None, :] * mean  # (2, L, 2): the mean's x alone, its y alone
     axes = axes / jnp.sqrt(jnp.sum(axes**2, (1, 2), keepdims=True))
     deviations = aligned - mean
     return aligned - jnp.einsum("nld,kld,kme->nme", deviations, axes, axes, precision=_EXACT)
@@ -172,5 +173,5 @@ def _joined(b: Float[Array, "modes"], scales: Float[Array, "2"], place: Float[Ar
 def _least_squares(matrix: Float[Array, "rows params"], right: Float[Array, "rows"]) -> Float[Array, "params"]:
     """By normal equations with a trace of damping: Gauss-Newton mends what they lose in precision."""
     normal = jnp.matmul(matrix.T, matrix, precision=_EXACT)
-    damping = 1e-6 * jnp.trace(normal) * jnp.eye(len(normal))
+    damping = 1e-6 * jnp.trace(normal) * jnp.eye(len(normal), dtype=normal.dtype)
     return jnp.linalg.solve(normal + damping, jnp.matmul(matrix.T, right, precision=_EXACT))

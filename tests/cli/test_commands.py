@@ -1,8 +1,5 @@
 """What all commands have in common: bad input ends them at once, in one line that says what to do."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -52,15 +49,6 @@ def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.Ca
         with pytest.raises(SystemExit):
             main(["fit", "a.jpg", "--out", "out", option, value])
         assert f"argument {option}: invalid" in capsys.readouterr().err
-
-
-def test_a_reader_who_has_seen_enough_is_no_error() -> None:
-    reading, writing = os.pipe()
-    os.close(reading)
-    command = [sys.executable, "-m", "jaxfit", "models"]
-    listing = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True, check=False)
-    os.close(writing)
-    assert (listing.returncode, listing.stderr) == (141, "")
 
 
 def test_datasets_of_different_landmarks_are_not_mixed(

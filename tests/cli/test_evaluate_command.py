@@ -119,6 +119,7 @@ def test_evaluate_reports_poses_and_errors_in_3d(
         "nmed_3d",
         *POSED,
         "pose_order",
+        "learned",
         "problem",
     )
     assert {row["pose_order"] for row in rows} == {"roll-pitch-yaw"}
@@ -223,4 +224,14 @@ def test_only_3d_alignments_are_refined(
     evaluate = ["evaluate", str(drawn_model), "--data", f"pts:{drawn}", "--normaliser", "box", "--refine"]
     assert main([*evaluate, "--out", str(tmp_path / "out")]) == 2
     assert "only models of the method alignment3d" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("search", [["--smallest", "30"], ["--score", "0.5"], ["--any-rotation"]])
+def test_a_search_needs_a_detector(
+    search: list[str], drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    request = ["evaluate", str(drawn_model), "--data", f"pts:{drawn}", "--out", str(tmp_path / "out")]
+    assert main([*request, *search]) == 2
+    assert "expected a --detector with --smallest, --score or --any-rotation; got none" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import unicodedata
 from pathlib import Path
 
 import pytest
@@ -90,3 +91,17 @@ def test_names_are_known_as_they_are_and_as_tables_spell_them(tmp_path: Path) ->
         picture = tmp_path / name
         for spelling in (name, table_path(name), table_path(picture)):
             assert pictures_named([spelling], [picture], [tmp_path]) == {spelling: [picture]}
+
+
+@linux
+def test_accents_match_however_they_are_composed(tmp_path: Path) -> None:
+    composed, decomposed = "Zoë/é.jpg", unicodedata.normalize("NFD", "Zoë/é.jpg")
+    assert composed != decomposed
+    for name, other in ((composed, decomposed), (decomposed, composed)):
+        assert pictures_named([name, Path(name).name], [tmp_path / other], [tmp_path]) == {
+            name: [tmp_path / other],
+            Path(name).name: [tmp_path / other],
+        }
+    # Where both are there, each name means its own.
+    both = [tmp_path / composed, tmp_path / decomposed]
+    assert pictures_named([decomposed], both, [tmp_path]) == {decomposed: both[1:]}

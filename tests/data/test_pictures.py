@@ -307,7 +307,8 @@ def test_pictures_come_in_anything_that_has_an_order(rgb):
         assert [image.shape for image in several(images)] == [rgb.shape] * 2
     assert several(map(str, [1])) == ["1"]
     assert several([Path("a"), bytearray(b"b")]) == [Path("a"), b"b"]
-    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), rgb, jnp.asarray(rgb), "a.jpg", Path("a.jpg"), b"a"):
+    arrays = (rgb, jnp.asarray(rgb), np.array(5), jnp.array(5))
+    for wrong in ({"a.jpg": rgb}, {"a.jpg"}, 5, None, tensor(), *arrays, "a.jpg", Path("a.jpg"), b"a"):
         with pytest.raises(InputError, match="expected a sequence of images"):
             several(wrong)
     with pytest.raises(InputError, match=r"got torch\.Tensor"):
@@ -390,6 +391,12 @@ def test_folders_that_cannot_be_read_are_said(tmp_path, rgb, monkeypatch):
         read_image(tmp_path / "open" / "closed")
     with pytest.raises(InputError, match=r"closed: the folder cannot be read \(Permission denied\)"):
         find_images([tmp_path / "open" / "closed"])
+    for pattern in ("open/*/*.png", "open/**/*.png", "op*/cl*/*.png"):  # which would look into it
+        assert tmp_path / "open" / "closed" in find_images([tmp_path / pattern]), pattern
+    through_links = {path.resolve() for path in find_images([tmp_path / "open" / "**" / "*.png"])}
+    assert through_links == {path.resolve() for path in find_images([tmp_path / "open"], recursive=True)}
+    assert len(find_images([tmp_path / "open" / "**" / "**" / "a.png"])) < 9  # links that lead in circles
+    assert find_images([tmp_path / "open" / "*.png"]) == [tmp_path / "open" / "a.png"]
     (tmp_path / "outer" / "inner").mkdir(parents=True)
     with pytest.raises(InputError, match=r"no pictures in .*--recursive"):
         find_images([tmp_path / "outer"])

@@ -50,7 +50,7 @@ def measured(thesis: str = "AFLW", flat: bool = False, **factors: float) -> Expe
     seconds = {name: np.full(8, 0.02) + np.arange(8) * 1e-5 for name in METHODS}
     seconds["regression3d"] = seconds["regression3d"] / factors.get("speed", 2.0)
     people = np.array([f"person {number}" for number in range(FACES)])
-    dataset = DatasetResults("faces", thesis, AFLW21, {"subject": people}, grid, starts, {}, seconds, {})
+    dataset = DatasetResults("faces", thesis, AFLW21, {"subject": people}, grid, starts, {}, {}, seconds, {})
     return ExperimentResults(config, (dataset,), (heads(**factors),), 1, 0, 0, 0.0, (), ())
 
 

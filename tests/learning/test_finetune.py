@@ -112,7 +112,7 @@ def crops_of(model: jaxfit.Model, faces: Sequence[FaceRecord]) -> tuple[Any, np.
     """The crops of faces, and their labels in pictures."""
     landmarks = np.stack([face.landmarks for face in faces])
     squares = np.stack([bounding_square(each) for each in landmarks])
-    crops, _, problems = cut_labelled(
+    crops, _, problems, _ = cut_labelled(
         faces, squares, model.placement("square"), model.cascade.frame, read_grey, lambda *_: None
     )
     return crops, landmarks, problems
@@ -255,3 +255,11 @@ def test_wrong_arguments(cautious, heads, tmp_path: Path) -> None:
     missing = [replace(face, image=tmp_path / "missing.png") for face in heads]
     with pytest.raises(InputError, match="at least two readable pictures; got 0"):
         jaxfit.finetune(cautious, missing)
+
+
+def test_what_was_learned_from_is_kept(cautious, heads) -> None:
+    before = cautious.learned
+    tuned = jaxfit.finetune(replace(cautious, learned=before[:10]), heads[16:], tuning=TUNING).model
+    assert len(tuned.learned) >= 16
+    assert np.isin(before[:10], tuned.learned).all()
+    assert jaxfit.finetune(replace(cautious, learned=None), heads[16:], tuning=TUNING).model.learned is None

@@ -38,7 +38,7 @@ from jaxfit.shapes.space import Start
 PLACEMENT = Placement((0.01, -0.02), 0.1, Spread((0.05, 0.06), 0.07, 0.08))
 
 
-START = Start(jnp.zeros(2), jnp.ones(()), jnp.zeros(()))
+START = Start(jnp.zeros(2, jnp.float32), jnp.float32(1), jnp.float32(0))
 
 
 def model(seed=0, scheme="points2"):

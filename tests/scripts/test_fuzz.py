@@ -24,7 +24,7 @@ def test_mutations_differ_and_come_again(fuzz: Any) -> None:
     assert len({*made}) > 150
 
 
-TARGETS = "images pts aflw lfpw pointing04 aflw2000 boxes models heads configs videos page"
+TARGETS = "images exif names folders arrays pts aflw lfpw pointing04 aflw2000 boxes models heads configs videos page"
 
 
 def test_all_targets_are_tried(fuzz: Any) -> None:

@@ -120,7 +120,7 @@ def test_the_turn_in_the_picture_adds_up():
     for angle in (0.0, 0.4, -2.0, 3.1):
         turn = np.asarray(turn_in_plane(jnp.float32(angle)))
         np.testing.assert_allclose(turn, Rotation.from_rotvec([0, 0, angle]).as_matrix(), atol=1e-6)
-        before, after = twists(turns), twists(turn @ np.asarray(turns))
+        before, after = map(np.asarray, (twists(turns), twists(turn @ np.asarray(turns))))
         np.testing.assert_allclose(np.exp(1j * after), np.exp(1j * (before + angle)), atol=1e-5)
 
 
@@ -267,5 +267,5 @@ def test_many_are_each_alone():
 
 def test_what_is_shown_is_scaled_turned_and_placed():
     turn = Rotation.from_rotvec([0.3, 0.2, -0.9])
-    camera = Camera(jnp.float32(3), jnp.float32(turn.as_matrix()), jnp.array([5.0, -6.0]), jnp.array(True))
+    camera = Camera(jnp.float32(3), jnp.float32(turn.as_matrix()), jnp.float32([5, -6]), jnp.array(True))
     np.testing.assert_allclose(show(jnp.float32(HEAD), camera), 3 * turn.apply(HEAD) + [5, -6, 0], atol=1e-4)

@@ -3,8 +3,10 @@
 from collections.abc import Callable
 
 from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, Search, best_match
+from jaxfit.data.detectors.dlib_hog import KIND as DLIB
 from jaxfit.data.detectors.dlib_hog import DlibHog
-from jaxfit.data.detectors.haar import Haar
+from jaxfit.data.detectors.haar import FRONTAL, PROFILE, Haar
+from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.detectors.yunet import YuNet
 from jaxfit.data.pictures import Pixels, to_eight_bits
@@ -13,6 +15,7 @@ from jaxfit.errors import InputError
 __all__ = [
     "DEFAULT_DETECTOR",
     "DETECTORS",
+    "ROUGH_KINDS",
     "Detection",
     "Detector",
     "Search",
@@ -30,6 +33,8 @@ DETECTORS: dict[str, Callable[[Search], Detector]] = {
     "dlib": DlibHog,
     "whole": lambda search: Whole(),
 }
+# The boxes of rough detectors (`Detector.rough`).
+ROUGH_KINDS = frozenset((FRONTAL, PROFILE, DLIB, WHOLE))
 OF_FILES: dict[str, Callable[[Search, str], Detector]] = {"yunet": YuNet}
 
 

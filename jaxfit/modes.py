@@ -1,0 +1,83 @@
+"""Under which of JAX's modes the package computes, whatever the caller has set, and in which processes it can.
+
+Two modes mean the caller's own code and would stop ours: a guard against transfers, as pictures have to come to the
+device, and a search for NaNs, which stand here for what is not known. Others are followed: arrays of float32 stay so
+under ``jax_enable_x64``, and no types are mixed that ``jax_numpy_dtype_promotion="strict"`` refuses.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+import jax
+
+from jaxfit.errors import InputError, ProcessError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+# The process that has computed first, in this one or in one that this one was forked from.
+_first: int | None = None
+
+
+def require_jax() -> None:
+    """Check that JAX can compute in this process: that it has a device, and was not forked from one that has computed,
+    whose threads are missing in it and would be waited for in vain.
+
+    Raises:
+        InputError: there is no such device as JAX is set to compute on.
+        ProcessError: it was forked.
+    """
+    global _first
+    if _first is None:
+        _require_device()
+        _first = os.getpid()
+    elif _first != os.getpid():
+        raise ProcessError(
+            "this process was forked from one that has computed with jaxfit, and JAX would hang in it; start processes "
+            'by spawn: multiprocessing.get_context("spawn"), or DataLoader(..., multiprocessing_context="spawn"), or '
+            "load models and fit in the new processes only"
+        )
+
+
+def _require_device() -> None:
+    platforms = getattr(jax.config, "jax_platforms", None)
+    try:
+        jax.local_devices()
+    except Exception as error:  # which one depends on the platform
+        reason = str(error).partition("(set JAX_PLATFORMS")[0].strip() or type(error).__name__
+        raise InputError(
+            f"JAX cannot compute on {platforms!r}, which JAX_PLATFORMS or jax_platforms asks for: {reason}; expected "
+            'a platform that JAX is installed for, such as "cpu", or none, so that JAX chooses'
+        ) from None
+
+
+@contextmanager
+def own_modes() -> Iterator[None]:
+    """Within it the package computes, in this thread.
+
+    Raises:
+        InputError: as `require_jax`, which also raises ProcessError.
+    """
+    require_jax()
+    with jax.transfer_guard("allow"), jax.debug_nans(False):
+        yield
+
+
+def computing(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, which computes within `own_modes`: what people call from Python."""
+
+    @wraps(function)
+    def within(*arguments: P.args, **options: P.kwargs) -> R:
+        with own_modes():
+            return function(*arguments, **options)
+
+    return within
+
+
+@contextmanager
+def mixing_types() -> Iterator[None]:
+    """Within it other libraries' code, such as optax's, may mix types as JAX lets it by default."""
+    with jax.numpy_dtype_promotion("standard"):
+        yield
