@@ -1,12 +1,12 @@
-# `make demo` fits a portrait; `make docs` builds the site; `make check` runs lint, types and laws, `make modes` laws in JAX's
-# other modes, `make test` everything. All start from
-# nothing but Python 3.11+ and make.
+# `make demo` fits a portrait; `make docs` builds the site. `make check` runs lint, types and laws, `make test` most tests,
+# `make everything` all of them; `make modes` runs the laws in JAX's other modes. All start from nothing but Python 3.11+
+# and make.
 
 PYTHON ?= python3
 BIN := .venv/bin
 PORTRAIT = $(shell $(BIN)/python -c "import matplotlib.cbook as c; print(c.get_sample_data('grace_hopper.jpg', asfileobj=False))")
 
-.PHONY: demo docs lint check modes test clean
+.PHONY: demo docs lint check modes test everything clean
 
 demo: .venv/plots
 	$(BIN)/jaxfit fit "$(PORTRAIT)" --out demo
@@ -21,17 +21,23 @@ lint: .venv/dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+TEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 # Not what starts processes, a browser or a notebook, or takes long.
 check: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+	$(TEST) -m "not slow"
 
 # The laws again, with float64 at hand and with types that must not be mixed, as programs around this package may set.
 modes: .venv/dev
-	JAX_ENABLE_X64=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
-	JAX_NUMPY_DTYPE_PROMOTION=strict $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not slow"
+	JAX_ENABLE_X64=1 $(TEST) -m "not slow"
+	JAX_NUMPY_DTYPE_PROMOTION=strict $(TEST) -m "not slow"
 
+# Not the commands of the documents, notebooks, and what trains or exports many models.
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(TEST) -m "not long"
+
+everything: lint
+	$(TEST)
 
 # One stamp for each set of extras; the pinned versions make the result reproducible.
 .venv/%: pyproject.toml constraints.txt

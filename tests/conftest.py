@@ -34,6 +34,14 @@ SLOW_FILES = {
     *("test_bundled_3d", "test_parametric68", "test_conversions", "test_lifting"),
     *("test_datasets", "test_detectors", "test_evaluate", "test_plots", "test_turned"),
 }
+# What runs all commands of the documents, trains or exports many models, or measures: left out of `make test`, too.
+LONG_FOLDERS = {"scripts"}
+LONG_FILES = {
+    *("test_notebooks", "test_readme", "test_site", "test_modes"),
+    *("test_cascade", "test_tuning", "test_finetune", "test_learn_confidence", "test_experiments"),
+    *("test_evaluate_command", "test_finetune_command", "test_train_command", "test_processes"),
+    *("test_bundled_3d", "test_parametric68", "test_export", "test_endurance", "test_faults", "test_twins"),
+}
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -53,7 +61,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest file comes first, so that no worker is left with it alone at the end."""
     items.sort(key=lambda item: item.path.stem != "test_readme")
     for item in items:
-        if item.path.parent.name in SLOW_FOLDERS or item.path.stem in SLOW_FILES:
+        folder, file = item.path.parent.name, item.path.stem
+        if folder in LONG_FOLDERS or file in LONG_FILES:
+            item.add_marker("long")
+        if folder in SLOW_FOLDERS or file in SLOW_FILES or file in LONG_FILES:
             item.add_marker("slow")
 
 

@@ -36,7 +36,7 @@ _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower one
 # Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
 _UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
-_LIKELY = 0.8  # score, after a closer look, from which an upright find is seen better in no other rotation
+_LIKELY = 0.8  # score from which an upright find is seen better in no other rotation
 _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual score, in a group of which some lean more
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
 _MOST_DOUBTFUL = 30  # of them in a picture that are looked at again
@@ -70,8 +70,8 @@ class YuNet:
     """Finds faces of any pose, also small ones and many in a picture, and how they are turned in it.
 
     Pictures are looked at at a resolution at which the smallest faces leave at least a doubtful find, large pictures in
-    overlapping parts, and again at coarser resolutions for large faces. Small and doubtful finds are looked at closer,
-    and those that are turned, or still doubtful, turned upright. Finds below the score are looked at in this way unless
+    overlapping parts, and again at coarser resolutions for large faces. Small finds are looked at closer,
+    and those that are turned or doubtful, turned upright. Finds below the score are looked at in this way unless
     most faces of the picture are upright. Dark pictures are also looked at after they were made brighter.
 
     Attributes:
@@ -155,14 +155,11 @@ class YuNet:
         return _SCORE if self.search.score is None else self.search.score
 
     def _looked_at_closer(self, bgr: np.ndarray, face: Detection) -> Detection:
-        """A find that is small for the network, or doubtful, as it is seen at another size; small ones have the score
-        0 if they are not seen."""
-        small = face.box[2:].mean() < self.search.smallest_in(bgr.shape) * _CLEAR / _SEEN
-        if face.score >= _SURE and not small:
+        """A find that is small for the network as it is seen where it is larger; with the score 0 if it is not seen."""
+        if face.box[2:].mean() > self.search.smallest_in(bgr.shape) * _CLEAR / _SEEN:
             return face
         quarters = round(face.rotation / 90) if self.search.any_rotation else 0
-        closer, _ = self._turned(bgr, face, 90.0 * quarters, _CLOSER)
-        return closer if small or closer.score > face.score else face
+        return self._turned(bgr, face, 90.0 * quarters, _CLOSER)[0]
 
     def _looked_at_upright(self, bgr: np.ndarray, face: Detection) -> Detection:
         """A find as it is seen where the picture is turned so that it is upright: the network is less sure of turned
@@ -173,9 +170,10 @@ class YuNet:
         best, settled = self._turned(bgr, face, face.rotation)
         if best.score < _SURE:
             for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
-                other, other_settled = self._turned(bgr, face, side)
-                if other.score > best.score + _BETTER:
-                    best, settled = other, other_settled
+                if self._turned(bgr, face, side, _CLOSER)[0].score > best.score:
+                    other, other_settled = self._turned(bgr, face, side)
+                    if other.score > best.score + _BETTER:
+                        best, settled = other, other_settled
         for _ in range(_LOOKS):
             if not settled:
                 best, settled = self._turned(bgr, best, best.rotation)
@@ -201,11 +199,12 @@ class YuNet:
         return replace(best, box=box, rotation=rotation), settled
 
     def _faces(self, part: _Part) -> Iterator[Detection]:
-        for values in self._found(part.bgr).astype(np.float64):
-            if np.isfinite(values).all() and min(values[2:4]) > 0:
-                box = np.concatenate([values[:2] / part.scale + part.corner, values[2:4] / part.scale])
-                rotation = _rotation(values[4:14].reshape(5, 2), math.sqrt(values[2] * values[3]))
-                yield Detection(box, KIND, rotation, float(values[14]))
+        found = self._found(part.bgr).astype(np.float64)
+        found = found[np.isfinite(found).all(1) & (found[:, 2:4] > 0).all(1)]
+        boxes = np.hstack([found[:, :2] / part.scale + part.corner, found[:, 2:4] / part.scale])
+        for box, values in zip(boxes, found, strict=True):
+            rotation = _rotation(values[4:14].reshape(5, 2), math.sqrt(values[2] * values[3]))
+            yield Detection(box, KIND, rotation, float(values[14]))
 
     def _found(self, bgr: np.ndarray) -> np.ndarray:
         """A row a face: x, y, width, height, the two eyes, the nose, the corners of the mouth, and the score."""
@@ -257,7 +256,7 @@ def _part(bgr: np.ndarray, left: int, top: int, right: int, bottom: int, scale: 
     height, width = part.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if size != (width, height):
-        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 0.5 else cv2.INTER_LINEAR)
     return _Part(np.ascontiguousarray(part), np.array([left, top]), np.array([size[0] / width, size[1] / height]))
 
 
