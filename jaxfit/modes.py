@@ -1,8 +1,9 @@
 """Under which of JAX's modes the package computes, whatever the caller has set, and in which processes it can.
 
-Two modes mean the caller's own code and would stop ours: a guard against transfers, as pictures have to come to the
-device, and a search for NaNs, which stand here for what is not known. Others are followed: arrays of float32 stay so
-under ``jax_enable_x64``, and no types are mixed that ``jax_numpy_dtype_promotion="strict"`` refuses.
+Some modes mean the caller's own code and would stop ours: a guard against transfers, as pictures have to come to the
+device, a search for NaNs, which stand here for what is not known, and a ban on arrays of other ranks. Others are
+followed: arrays of float32 stay so under ``jax_enable_x64``, and no types are mixed that
+``jax_numpy_dtype_promotion="strict"`` refuses.
 """
 
 import os
@@ -61,7 +62,7 @@ def own_modes() -> Iterator[None]:
         InputError: as `require_jax`, which also raises ProcessError.
     """
     require_jax()
-    with jax.transfer_guard("allow"), jax.debug_nans(False):
+    with jax.transfer_guard("allow"), jax.debug_nans(False), jax.numpy_rank_promotion("allow"):
         yield
 
 

@@ -69,7 +69,7 @@ def count_learned(model: jaxfit.Model, dataset: Dataset) -> int | None:
     if (digests := model.learned) is None:
         return None
     reader = DigestingReader(read_grey)
-    return sum(reader.among(face.image, digests) for face in complete(dataset))
+    return int(reader.among([face.image for face in complete(dataset)], digests).sum())
 
 
 def measured(models: dict[str, Any], dataset: Dataset, rival: str | None, seed: int) -> dict[str, np.ndarray]:

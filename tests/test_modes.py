@@ -20,11 +20,13 @@ from jaxfit.errors import InputError, ProcessError
 from jaxfit.evaluation import start_boxes
 from jaxfit.schemes.known import AFLW21
 
-# All at once, as each costs a compilation: float64 at hand, types that must not be mixed, no NaNs and no transfers.
+# All at once, as each costs a compilation: float64 at hand, types and ranks that must not be mixed, no NaNs and no
+# transfers.
 MODES = {
     "jax_enable_x64": True,
     "jax_numpy_dtype_promotion": "strict",
     "jax_debug_nans": True,
+    "jax_numpy_rank_promotion": "raise",
     "jax_transfer_guard": "disallow",
 }
 

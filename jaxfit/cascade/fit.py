@@ -14,7 +14,7 @@ from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.starts import Starts, square_around, starts_of
 from jaxfit.cascade.state import State, advanced, features_of, landmarks_of, state_of
 from jaxfit.errors import InputError
-from jaxfit.modes import require_jax
+from jaxfit.modes import computing
 from jaxfit.shapes.asm import Coefficients
 from jaxfit.shapes.space import ShapeSpace3D, Start
 from jaxfit.types import Crop, Landmarks, Landmarks3D, Params, Scalar
@@ -100,6 +100,7 @@ def centroid(candidates: Float[Array, "starts landmarks 2"]) -> Int[Array, ""]:
     return jnp.argmin(jnp.where(finite, sums, jnp.inf))
 
 
+@computing
 def fit_crops(
     cascade: Cascade,
     crops: _Given,
@@ -120,7 +121,6 @@ def fit_crops(
         ProcessError: this process was forked from one that has computed.
     """
     _require_crops(cascade, crops, passes)
-    require_jax()
     return _fit_crops(cascade, crops, starts, passes)
 
 
@@ -191,6 +191,7 @@ class Heads(NamedTuple):
     b: Coefficients
 
 
+@computing
 def fit_heads(
     cascade: Cascade,
     crops: _Given,
@@ -212,7 +213,6 @@ def fit_heads(
         InputError: crops of another size or type, no passes, or a 2D cascade with nothing to align.
     """
     _require_crops(cascade, crops, passes)
-    require_jax()
     return _fit_heads(cascade, crops, starts, passes, aligned)
 
 

@@ -19,7 +19,7 @@ _EXACT = lax.Precision.HIGHEST
 class Moments:
     """Sums over samples of features x and targets y: all that least squares needs, whatever the number of samples.
 
-    The features should be nearly centred, as a projection leaves them, lest their covariance drown in rounding.
+    The features should be nearly centred, as a projection leaves them; otherwise their covariance drowns in rounding.
     """
 
     count: Scalar

@@ -111,7 +111,7 @@ def add_detector(command: argparse.ArgumentParser, about: str) -> None:
     command.add_argument(
         "--score",
         type=float,
-        help="from which yunet's find is a face, from 0 to 1; lower finds more, also what is none",
+        help="from which yunet's find is a face, above 0 and up to 1; lower finds more, also what is none",
     )
     command.add_argument(
         "--any-rotation",

@@ -23,7 +23,7 @@ _MARGIN = 2
 _STRIDES = (2, 4)
 # Side of a cell, in crop pixels, from which it is looked up in the coarse map.
 _COARSE_CELL = 4.5
-# Added to squared lengths, lest the root has no derivative at flat places; pixels count in the thousands.
+# Added to squared lengths, as the root has no derivative at flat places; pixels count in the thousands.
 _TINY = 1e-6
 _SECTOR = 2 * math.pi / BINS
 _COS, _SIN = (f(np.arange(BINS) * _SECTOR).astype(np.float32) for f in (np.cos, np.sin))
@@ -152,7 +152,7 @@ def places(x: Float[Array, "points"], y: Float[Array, "points"], squares: int, s
     first = _MARGIN + (stride - 1) / 2  # where the first square has its centre
     left, right_share = split((x - first) / stride, squares)
     top, bottom_share = split((y - first) / stride, squares)
-    # Unsigned, lest JAX looks for negative numbers, which count from the end.
+    # Unsigned: JAX would look for negative numbers, which count from the end.
     return Places((top * squares + left).astype(jnp.uint32), right_share, bottom_share)
 
 

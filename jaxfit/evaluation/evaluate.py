@@ -345,8 +345,7 @@ def fit_labelled(
     seconds = max(exchanged(time.perf_counter() - begin))
     learned = None
     if (digests := model.learned) is not None:
-        known = np.array([reader.among(faces[row].image, digests) for row in mine], bool)
-        learned = gathered(known, mine, len(faces))
+        learned = gathered(reader.among([faces[row].image for row in mine], digests), mine, len(faces))
     return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_array, rotation_array
-from jaxfit.data.detectors import DEFAULT_DETECTOR, ROUGH_KINDS, Detector, Search, detector_named
+from jaxfit.data.detectors import ROUGH_KINDS, Detector, Search, finder_of
 from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
@@ -73,7 +73,7 @@ def fit(
             raise InputError(
                 "expected boxes of this kind or with these rotations; without boxes, the detector says both"
             )
-        finder = _finder(detector, search)
+        finder = finder_of(detector, search)
         pipeline = Pipeline(model, finder, starts, passes_from(finder) if passes is None else passes, read)
         sources = [Source(image, name_of(image)) for image in images]
         (fits,) = stream(pipeline, [sources], len(sources), progress)
@@ -84,15 +84,6 @@ def fit(
     pipeline = Pipeline(model, starts=starts, passes=1 if passes is None else passes, read=read)
     sources = sources_of(model, images, boxes, kind, rotations)
     return fits_of_sources(pipeline, sources, progress)
-
-
-def _finder(detector: str | Detector | None, search: Search) -> Detector:
-    """What looks for faces."""
-    if isinstance(detector, str | None):
-        return detector_named(detector or DEFAULT_DETECTOR, search)
-    if search != Search():
-        raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
-    return detector
 
 
 def require_no_search(search: Search) -> None:

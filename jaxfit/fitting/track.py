@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, finder_of
 from jaxfit.data.detectors.detector import holds, overlap
 from jaxfit.data.pictures import Images, Pixels, require_several, to_eight_bits, to_grey
 from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
@@ -206,7 +206,7 @@ class Tracker:
         self.model = model
         self.smoothing = smoothing
         self.redetect_every = redetect_every
-        self._detect = detector_named(detector, search) if isinstance(detector, str) else detector
+        self._detect = finder_of(detector, search)
         for kind in self._detect.kinds:
             model.placement(kind)
         self._tracks: list[_Track] = []  # oldest first

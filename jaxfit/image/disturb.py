@@ -104,7 +104,7 @@ def _blurred(key: Array, picture: Picture, share: float) -> Picture:
     amount, whether = random.uniform(key, (2,), jnp.float32)
     times = jnp.where(whether < share, _BLURS * amount, 0.0)
     for done in range(_BLURS):
-        # One after the other, lest what leads to a pixel is computed again for each of its neighbours.
+        # One after the other: otherwise what leads to a pixel is computed again for each of its neighbours.
         picture = lax.optimization_barrier(picture)
         picture = picture + jnp.clip(times - done, 0.0, 1.0) * (_smoothed(picture) - picture)
     return picture

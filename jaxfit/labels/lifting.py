@@ -192,7 +192,7 @@ def fill_labels(faces: Sequence[FaceRecord], scheme: Scheme, head: HeadModel) ->
 
 
 def _agree(face: FaceRecord, pose: np.ndarray) -> bool:
-    """Whether the labelled pitch and yaw, if known, are near those found, in the same order; roll is told best."""
+    """Whether the labelled pitch and yaw, if known, are near those found, in the same order; roll is known best."""
     if face.pose is None:
         return True
     apart = np.abs((pose - face.pose + 180) % 360 - 180)[1:]

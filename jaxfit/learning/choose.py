@@ -84,7 +84,7 @@ class Chosen:
 
 
 def default_candidates(options: Options) -> dict[str, tuple[Any, ...]]:
-    """What `choose_options` tries unless told otherwise; windows are tried around those of ``options``."""
+    """What `choose_options` tries by default; windows are tried around those of ``options``."""
     windows = options.greedy.windows
     schedules = (np.geomspace(first, last, len(windows)) * windows for first, last in _SCHEDULES)
     return {
@@ -124,7 +124,7 @@ def choose_options(
             each.
         folds: parts of the people; each in turn is kept aside.
         progress: called with a stage's name, what is done and what there is to do.
-        read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
+        read: gets a picture's path and returns it grey, uint8 (H, W); the default remembers them.
 
     Raises:
         InputError: an unknown option or a setting out of range among the candidates, fewer people than folds, or as

@@ -122,7 +122,7 @@ def learn_confidence(
         seed: of folds, starts and the network.
         head_model: the 3D head model that the model was trained with: needed where it is not a bundled one, as model
             files do not say where it lies.
-        read: gets a picture's path and returns it grey, uint8 (H, W); unless told, it remembers them.
+        read: gets a picture's path and returns it grey, uint8 (H, W); the default remembers them.
         progress: called with a stage's name, what is done and what there is to do.
 
     Raises:

@@ -68,7 +68,7 @@ def cut_labelled(
         progress("reading pictures", number, len(faces))
         try:
             grey = to_grey(read(face.image))
-        except ImageError as error:
+        except (ImageError, OSError) as error:
             problems.append(str(error))
             continue
         rows.append(number)

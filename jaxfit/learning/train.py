@@ -62,8 +62,8 @@ def train(
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
 
-    Processes that are joined (``jaxfit.join_processes``) learn one model together, which each gets: each reads the
-    pictures of its own share of the faces, but needs the labels of all.
+    Processes that are joined (``jaxfit.learning.join_processes``) learn one model together, which each gets: each reads
+    the pictures of its own share of the faces, but needs the labels of all.
 
     Args:
         faces: the labelled faces, all of one scheme.
@@ -78,8 +78,8 @@ def train(
             variance or spread, as `choose_options` tries them.
 
     Raises:
-        InputError: an unknown method, fewer than two usable faces, or processes that were that do not
-            have the same, or one without any readable picture.
+        InputError: an unknown method, fewer than two usable faces, or joined processes that have other faces or
+            options, or one of them no readable picture.
         ProcessError: another of the processes ended.
     """
     kind, seed = method_named(method), options.greedy.seed

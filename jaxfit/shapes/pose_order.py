@@ -37,7 +37,7 @@ def turned_poses(poses: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         roll, pitch, yaw = poses[rows].T
         rotation = scipy.spatial.transform.Rotation
         heads = rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
-        yaw, pitch, roll = (rotation.from_euler("Z", degrees[rows], degrees=True) * heads).as_euler("YXZ", True).T
+        yaw, pitch, roll = (rotation.from_euler("Z", degrees[rows, None], degrees=True) * heads).as_euler("YXZ", True).T
         turned[rows] = np.stack([roll, -pitch, yaw], 1)
     return turned
 

@@ -30,7 +30,9 @@ def test_digests_are_those_of_pixels(tmp_path: Path) -> None:
     reader = DigestingReader(read_grey)
     digests = digest_set([picture_digest(grey), 0, 2**64 - 1, 0])
     assert len(digests) == 3
-    found = [reader.among(tmp_path / name, digests) for name in ("a.png", "b.bmp", "damaged.png", "missing.png")]
+    found = reader.among(
+        [tmp_path / name for name in ("a.png", "b.bmp", "damaged.png", "missing.png")], digests
+    ).tolist()
     assert found == [True, True, False, False]
 
 

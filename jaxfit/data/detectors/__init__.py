@@ -22,6 +22,7 @@ __all__ = [
     "best_match",
     "detect_faces",
     "detector_named",
+    "finder_of",
 ]
 
 DEFAULT_DETECTOR = "yunet"
@@ -60,6 +61,19 @@ def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> D
     return AnyRotation(detector) if search.any_rotation and not isinstance(detector, YuNet) else detector
 
 
+def finder_of(detector: str | Detector | None, search: Search = Search()) -> Detector:
+    """A detector of one's own, or the one of this name; None is the default one.
+
+    Raises:
+        InputError: as `detector_named`; or a search for a detector that does not come by name.
+    """
+    if isinstance(detector, str | None):
+        return detector_named(detector or DEFAULT_DETECTOR, search)
+    if search != Search():
+        raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
+    return detector
+
+
 def detect_faces(
     image: Pixels, detector: str | Detector = DEFAULT_DETECTOR, search: Search = Search()
 ) -> list[Detection]:
@@ -73,7 +87,7 @@ def detect_faces(
         search: how faces are looked for, by detectors that come by name.
 
     Raises:
-        InputError: as `detector_named`.
+        InputError: as `finder_of`.
         ImageError: the image is none of these.
     """
-    return (detector_named(detector, search) if isinstance(detector, str) else detector)(to_eight_bits(image))
+    return finder_of(detector, search)(to_eight_bits(image))

@@ -40,7 +40,7 @@ class Search:
     Attributes:
         smallest: width in pixels of the smallest faces that are to be found; None is 24, in large pictures more: 1/60
             of the root of their area. Time grows with the square of what is smaller.
-        score: from which a find is a face, in [0, 1], for detectors that score their finds; None is what suits the
+        score: from which a find is a face, in (0, 1], for detectors that score their finds; None is what suits the
             detector.
         any_rotation: also look at the picture turned by 90, 180 and 270 degrees, which takes four times as long. YuNet
             finds most turned faces without; upside down, it takes them for upright ones.
@@ -56,8 +56,8 @@ class Search:
     def __post_init__(self) -> None:
         if self.smallest is not None and not (math.isfinite(self.smallest) and self.smallest >= 8):
             raise InputError(f"expected a smallest face of 8 pixels or more; got {self.smallest}")
-        if self.score is not None and not 0 <= self.score <= 1:
-            raise InputError(f"expected a score from 0 to 1; got {self.score}")
+        if self.score is not None and not 0 < self.score <= 1:
+            raise InputError(f"expected a score above 0 and up to 1; got {self.score}")
 
     def smallest_in(self, shape: Sequence[int], least: float = _SMALLEST) -> float:
         """The width of the smallest faces that are looked for in a picture (H, W, …), in its pixels."""
@@ -150,8 +150,8 @@ def best_match(detections: Sequence[Detection], truth_box: np.ndarray) -> Detect
 
 
 def merged(detections: Iterable[Detection], same: float = 0.3) -> list[Detection]:
-    """One detection a face, largest first: of those that overlap (IoU) by more than ``same``, or of which one lies in
-    the middle of the other and is as large, the one with the best score."""
+    """One detection a face, largest first: of those that overlap (IoU) by more than ``same`` the one with the best
+    score."""
     kept: list[Detection] = []
     for face in sorted(detections, key=lambda face: face.score, reverse=True):
         if not any(overlap(face.box, other.box) > same for other in kept):

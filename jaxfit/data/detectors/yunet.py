@@ -1,7 +1,7 @@
 """YuNet (Wu, Peng and Yu, 2023): a small network that finds faces of any pose, run by OpenCV. Its file comes along."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -36,16 +36,16 @@ _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower one
 # Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
 _UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
-_LIKELY = 0.8  # score from which an upright find is seen better in no other rotation
+_LIKELY = 0.8  # score from which an upright find is a face, if no other rotation is better
 _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual score, in a group of which some lean more
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
-_MOST_DOUBTFUL = 30  # of them in a picture that are looked at again
+_MOST_SMALL, _MOST_TURNED = 200, 30  # of them in a picture that are looked at closer, and turned
 _CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
 _FRAME = Frame(crop=256, face=128.0)
 _CLOSER = Frame(crop=96, face=44.0)  # of closer looks: small, as most of them go to upright faces
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
-_BETTER = 0.02  # by which another rotation's score has to be better
+_BETTER = 0.01  # by which another rotation's score has to be better
 _LOOKS, _ENOUGH = 2, 10.0  # how often a box is mended, and degrees from which that pays
 # Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
 _BELIEVED, _TURNED = (80.0, 130.0), (3.0, 1.3)
@@ -122,17 +122,22 @@ class YuNet:
         return merged(faces, _SAME)
 
     def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
-        finds = merged((face for quarters in self._quarters for face in self._seen_from(bgr, quarters)), _SAME)
-        finds = [self._looked_at_closer(bgr, face) for face in finds]
-        sure = merged((face for face in finds if face.score >= self._score), _SAME)
-        faces = [self._looked_at_upright(bgr, face) for face in sure]
+        sure, doubtful = self._split(face for quarters in self._quarters for face in self._seen_from(bgr, quarters))
+        finds = merged([*sure, *doubtful[:_MOST_SMALL]], _SAME)
+        sure, doubtful = self._split(self._looked_at_closer(bgr, face) for face in finds)
+        faces = [self._looked_at_upright(bgr, face) for face in merged(sure, _SAME)]
         upright = [self._leaning(face) < _LEANING for face in faces if face.score >= _SURE]
         if not upright or np.mean(upright) <= 0.5:
             # The picture may be turned, and its faces be among the doubtful finds.
-            doubtful = sorted((face for face in finds if face.score < self._score), key=lambda face: face.score)
-            others = [face for face in merged([*sure, *doubtful[-_MOST_DOUBTFUL:]], _SAME) if face.score < self._score]
+            others = self._split(merged([*sure, *doubtful[:_MOST_TURNED]], _SAME))[1]
             faces += [self._looked_at_upright(bgr, face) for face in others]
-        return merged((face for face in faces if face.score >= self._score), _SAME)
+        return merged(self._split(faces)[0], _SAME)
+
+    def _split(self, faces: Iterable[Detection]) -> tuple[list[Detection], list[Detection]]:
+        """Those that have the score from which a find is a face, and the doubtful ones, best first."""
+        ordered = sorted(faces, key=lambda face: face.score, reverse=True)
+        sure = sum(face.score >= self._score for face in ordered)
+        return ordered[:sure], ordered[sure:]
 
     @property
     def _quarters(self) -> range:
@@ -165,15 +170,17 @@ class YuNet:
         """A find as it is seen where the picture is turned so that it is upright: the network is less sure of turned
         faces, believes them to be less turned than they are, and draws other boxes around them. Where no face is seen,
         the find stays as it is, with the score 0 if it lies or stands on its head."""
-        if face.score >= _LIKELY and abs(face.rotation) < _UPRIGHT:
+        upright, sides = abs(face.rotation) < _UPRIGHT, _ALL_SIDES if self.search.any_rotation else _SIDES
+        if face.score >= _SURE and upright:
             return face
-        best, settled = self._turned(bgr, face, face.rotation)
-        if best.score < _SURE:
-            for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
-                if self._turned(bgr, face, side, _CLOSER)[0].score > best.score:
-                    other, other_settled = self._turned(bgr, face, side)
-                    if other.score > best.score + _BETTER:
-                        best, settled = other, other_settled
+        degrees = face.rotation
+        if face.score < _SURE:
+            small = {turn: self._turned(bgr, face, turn, _CLOSER)[0].score for turn in (face.rotation, *sides)}
+            small[face.rotation] += _BETTER
+            degrees = max(small, key=lambda turn: small[turn])
+        if face.score >= _LIKELY and upright and degrees == face.rotation:
+            return face
+        best, settled = self._turned(bgr, face, degrees)
         for _ in range(_LOOKS):
             if not settled:
                 best, settled = self._turned(bgr, best, best.rotation)
