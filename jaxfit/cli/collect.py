@@ -9,7 +9,6 @@ from jaxfit.cli.arguments import (
     add_starts,
     given_search,
     given_starts,
-    out_folder,
 )
 from jaxfit.cli.progress import Bars
 from jaxfit.data.detectors import DEFAULT_DETECTOR
@@ -52,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     with Bars() as bars:
         outcomes = fit_collection(
             pictures,
-            out_folder(options.out),
+            options.out,
             fitter,
             workers=options.workers,
             part=options.part,

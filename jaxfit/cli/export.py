@@ -5,6 +5,7 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import add_starts, given_starts, untrained_starts
 from jaxfit.cli.progress import report_problems
+from jaxfit.data.inputs import require_no_inputs
 from jaxfit.fitting.export import export_model, load_exported
 from jaxfit.models.files import SUFFIX, load
 
@@ -27,6 +28,7 @@ def run(options: argparse.Namespace) -> int:
     """Export, and load again what was written."""
     model, out = load(options.model), Path(options.out)
     starts = given_starts(options)
+    require_no_inputs([out], [options.model])
     export_model(model, out, starts)
     exported = load_exported(out)
     report_problems(untrained_starts(options.model, model, starts))

@@ -10,6 +10,7 @@ from jaxfit.cascade.tuning import Tuning
 from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head_model, model_target, require_folds, seed
 from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance
@@ -73,6 +74,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fine-tune and save."""
     out = model_target(options.out)
+    require_no_inputs([out], [options.model])
     require_folds(options, "confidence")
     model = load(options.model)
     had_confidence = model.confidence is not None

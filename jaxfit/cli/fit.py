@@ -15,6 +15,7 @@ from jaxfit.cli.arguments import (
     unused_rows,
 )
 from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.data.names import plain
 from jaxfit.data.pictures import find_images
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS
 from jaxfit.models.files import load
@@ -87,6 +88,11 @@ def run(options: argparse.Namespace) -> int:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
         print(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
+    if report.left_out:
+        print(
+            f"left out: {len(report.left_out)} pictures that an earlier run wrote to {options.out}, "
+            f"such as {plain(str(report.left_out[0]))}"
+        )
     problems = untrained_starts(options.model, load(options.model), starts)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:

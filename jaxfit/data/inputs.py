@@ -1,0 +1,54 @@
+"""What is given to a run: when it has changed since, and that it is never written over."""
+
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from jaxfit.errors import InputError
+
+
+def state_of(files: Sequence[str | Path]) -> str:
+    """A digest of the names, sizes and times of files: another one where one of them was replaced or changed."""
+    digest = hashlib.sha256()
+    for file in files:
+        try:
+            found = os.stat(file)
+            state = f"{found.st_size} {found.st_mtime_ns}"
+        except (OSError, ValueError):  # it is reported when it is read
+            state = "none"
+        digest.update(os.fsencode(file) + f"\0{state}\0".encode())
+    return digest.hexdigest()[:32]
+
+
+def require_no_inputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
+    """Check that nothing that was given would be written over, under whatever name, links included.
+
+    Args:
+        outputs: files that may be written; they need not exist.
+        inputs: files that were given.
+
+    Raises:
+        InputError: one is the other.
+    """
+    known = {identity: path for path in inputs for identity in (_identity(path), _identity(path, links=True))}
+    known.pop(None, None)
+    for path in outputs:
+        if (given := known.get(_identity(path, links=True))) is not None:
+            name = "" if str(given) == str(path) else f" as {given}"
+            raise InputError(f"{path} was given as input{name}, and would be written over; use another --out")
+
+
+def same_files(files: Iterable[Path], others: Iterable[Path]) -> dict[Path, None]:
+    """Those of the files that are among others, under whatever name, in their order."""
+    known = {_identity(path) for path in others} - {None}
+    return dict.fromkeys(path for path in files if known and _identity(path) in known)
+
+
+def _identity(path: str | Path, links: bool = False) -> tuple[int, int] | None:
+    """Which file there is under a name, of a link the link itself if so wished; None if there is none."""
+    try:
+        found = os.lstat(path) if links else os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
