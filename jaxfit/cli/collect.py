@@ -46,6 +46,7 @@ def run(options: argparse.Namespace) -> int:
         given_starts(options),
         options.refine,
         options.cores,
+        options.max_megapixels,
     )
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:

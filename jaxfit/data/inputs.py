@@ -1,11 +1,39 @@
 """What is given to a run: when it has changed since, and that it is never written over."""
 
+import errno
 import hashlib
 import os
+import stat
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import IO
 
 from jaxfit.errors import InputError
+
+
+def open_regular(path: str | Path) -> IO[bytes]:
+    """A file to read from, if it is a regular one: a pipe would keep its reader waiting, a device has no end.
+
+    Raises:
+        OSError: it is none, or cannot be opened.
+    """
+
+    def opener(name: str, flags: int) -> int:
+        try:
+            descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+        except BlockingIOError:  # a file that another program wants to have written first: no pipe
+            descriptor = os.open(name, flags)
+        try:
+            mode = os.fstat(descriptor).st_mode
+            if not stat.S_ISREG(mode):
+                code, what = (errno.EISDIR, "a folder") if stat.S_ISDIR(mode) else (errno.EINVAL, "a device or pipe")
+                raise OSError(code, f"{what}, and not a regular file")
+        except BaseException:
+            os.close(descriptor)
+            raise
+        return descriptor
+
+    return open(path, "rb", buffering=0, opener=opener)
 
 
 def state_of(files: Sequence[str | Path]) -> str:

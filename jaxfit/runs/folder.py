@@ -19,6 +19,7 @@ from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
 from jaxfit.data.inputs import require_no_inputs, same_files
+from jaxfit.data.limits import most_megapixels
 from jaxfit.data.locks import held
 from jaxfit.data.names import plain, table_path, unique_names
 from jaxfit.data.outputs import (
@@ -114,6 +115,7 @@ class FolderRun:
             "starts": vars(self.starts),
             "refine": self.refine,
             "overlays": self.overlays,
+            "max_megapixels": most_megapixels(),
             **file_digests(self.model, self.files()),
             "pictures": len(pictures),
             "pictures' names": _digest(names),

@@ -1,0 +1,59 @@
+"""How large pictures may be: what a header promises is looked at before anything is decoded.
+
+A file of some kilobytes can stand for gigabytes of pixels, or for minutes of work. Whatever reads pictures asks here.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from jaxfit.errors import InputError
+
+DEFAULT_MEGAPIXELS = 180.0
+_MOST_SCANS = 100  # of a progressive JPEG, which have about ten; each goes through the whole picture
+_MOST_WORK = 2000.0  # million pixels times scans
+_MOST_MEGAPIXELS = 1000.0  # OpenCV's own limit is 2^30 pixels
+
+_megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPIXELS)
+
+
+@contextmanager
+def at_most_megapixels(megapixels: float) -> Iterator[None]:
+    """Read pictures of up to so many million pixels; larger ones are problems. Unless told otherwise it is 180.
+
+    Reading a picture takes about ten bytes a pixel for a while, in as many threads as there are cores.
+
+    Raises:
+        InputError: it is not positive, or over 1000.
+    """
+    if not 0 < megapixels <= _MOST_MEGAPIXELS:
+        raise InputError(f"expected at most 1 to {_MOST_MEGAPIXELS:g} megapixels a picture; got {megapixels:g}")
+    token = _megapixels.set(megapixels)
+    try:
+        yield
+    finally:
+        _megapixels.reset(token)
+
+
+def most_megapixels() -> float:
+    """How many million pixels a picture may have."""
+    return _megapixels.get()
+
+
+def size_problem(width: int, height: int, scans: int = 1) -> str | None:
+    """Why not to decode a picture of such a size, as a sentence; None if there is no reason.
+
+    Args:
+        width: in pixels, as its header says.
+        height: likewise.
+        scans: how often a decoder goes through it, as with progressive JPEG.
+    """
+    millions, most = width * height / 1e6, most_megapixels()
+    if millions > most:
+        return (
+            f"{width} x {height} pixels are {millions:,.0f} megapixels; expected at most {most:g}: shrink it, or allow "
+            "more (--max-megapixels, jaxfit.data.at_most_megapixels)"
+        )
+    if scans > _MOST_SCANS or scans * millions > _MOST_WORK:
+        return f"a progressive JPEG of {scans} scans of {width} x {height} pixels takes too long; save it again"
+    return None
