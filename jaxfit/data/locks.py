@@ -50,9 +50,11 @@ def held(folder: str | Path, command: str) -> Iterator[None]:
         yield
     finally:
         # While it is locked: whoever waits for this very file sees that it is no longer the folder's.
-        with suppress(OSError):
-            os.unlink(folder / _LOCK)
-        os.close(lock)
+        try:
+            with suppress(OSError):
+                os.unlink(folder / _LOCK)
+        finally:
+            os.close(lock)
 
 
 def _locked(folder: Path) -> int:

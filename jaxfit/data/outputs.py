@@ -101,7 +101,7 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
         if not (isinstance(found["command"], str) and all(isinstance(name, str) for name in found["files"])):
             raise ValueError("a command and files that are no text")
         return {"when": "unknown time"} | found
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path}: expected the manifest of a folder of jaxfit's results ({error}); use another --out, or remove it"
         ) from None
@@ -123,7 +123,7 @@ def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:
         before = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(before, dict):
             raise ValueError("no table")
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected the settings of a run, as JSON ({error}); use another --out") from None
     if before != settings:
         changed = "; ".join(_differences(before, settings))

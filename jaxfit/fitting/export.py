@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,6 +31,13 @@ EXPORT_FORMAT = 1
 PLATFORMS = ("cpu", "cuda")
 
 _KEY = "jaxfit-export"
+# What programs may call outside themselves: the linear algebra that those of 3D alignment need, on CPUs and GPUs.
+_CUSTOM_CALL = re.compile(r"custom_call[^@\n]*?@\"?([^\s\"(]+)")
+_KNOWN_CALLS = frozenset(
+    ["cu_lu_pivots_to_permutation"]
+    + [f"lapack_s{routine}_ffi" for routine in ("getrf", "trsm", "gesdd", "potrf", "geqrf", "orgqr", "syevd")]
+    + [f"cusolver_{routine}_ffi" for routine in ("getrf", "gesvd", "gesvdj", "potrf", "geqrf", "orgqr", "syevd")]
+)
 _LOCATIONS = "jax_traceback_in_locations_limit"
 _FLATBUFFERS = 'exported models need flatbuffers, which JAX stores programs with: pip install "jaxfit[export]"'
 _UNITS = {
@@ -222,18 +230,25 @@ def _deserialized(data: np.ndarray, header: dict[str, Any]) -> export.Exported:
     """The program in an undamaged file.
 
     Raises:
-        ModelError: this version of JAX does not read it.
+        ModelError: this version of JAX does not read it, or it calls other code than ours does.
     """
     oldest = export.minimum_supported_calling_convention_version
     newest = export.maximum_supported_calling_convention_version
     why = f"calling convention {header['calling_convention']}, expected {oldest} to {newest}"
+    code = None
     if oldest <= header["calling_convention"] <= newest:
         try:
             program = export.deserialize(bytearray(data))
-            program.mlir_module()  # which calls would read, and find too new or too old
-            return program
+            code = program.mlir_module()  # which calls would read, and find too new or too old
         except (RuntimeError, *DAMAGE) as error:
             why = str(error)
+    if code is not None:
+        if unknown := sorted({*_CUSTOM_CALL.findall(code)} - _KNOWN_CALLS):
+            raise ModelError(
+                f"its programs call {', '.join(unknown)}: code of this machine that jaxfit's programs do not call; "
+                "do not run it"
+            )
+        return program
     raise ModelError(
         f"exported by JAX {header['jax']}, which JAX {jax.__version__} does not read ({why}); "
         "use that version, or export the model again"
