@@ -26,8 +26,9 @@ def open_regular(path: str | Path) -> IO[bytes]:
         try:
             mode = os.fstat(descriptor).st_mode
             if not stat.S_ISREG(mode):
-                code, what = (errno.EISDIR, "a folder") if stat.S_ISDIR(mode) else (errno.EINVAL, "a device or pipe")
-                raise OSError(code, f"{what}, and not a regular file")
+                if stat.S_ISDIR(mode):
+                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+                raise OSError(errno.EINVAL, "a device or pipe, and not a regular file")
         except BaseException:
             os.close(descriptor)
             raise
