@@ -1,6 +1,7 @@
 """Small files that become large pictures, or much work, are refused by their headers; damage has a name."""
 
 import os
+import signal
 import struct
 import threading
 import time
@@ -24,7 +25,7 @@ from jaxfit.errors import ImageError, InputError
 
 def encoded(suffix: str, shape: tuple[int, ...] = (60, 80, 3), dtype: type = np.uint8, **of: int) -> bytes:
     noise = np.random.default_rng(3).integers(0, np.iinfo(dtype).max, shape).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), 4).astype(dtype)
+    smooth: np.ndarray = cv2.GaussianBlur(noise, (0, 0), 4).astype(dtype)
     options = [value for name, number in of.items() for value in (getattr(cv2, f"IMWRITE_{name}"), number)]
     return cv2.imencode(suffix, smooth, options)[1].tobytes()
 
@@ -208,8 +209,7 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
 
 def test_the_main_thread_hears_ctrl_c_while_others_decode() -> None:
     go = threading.Event()
-    thread = threading.Timer(0.2, lambda: (os.kill(os.getpid(), 2), go.wait(5)))
-    thread.start()
+    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
     begun = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         interruptible(lambda: go.wait(20))
