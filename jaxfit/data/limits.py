@@ -21,7 +21,7 @@ _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPI
 def at_most_megapixels(megapixels: float) -> Iterator[None]:
     """Read pictures of up to so many million pixels; larger ones are problems. Unless told otherwise it is 180.
 
-    Reading a picture takes about ten bytes a pixel for a while, in as many threads as there are cores.
+    Memory and time grow with it, in each thread that reads pictures; ``scripts/bombs.py`` measures how.
 
     Raises:
         InputError: it is not positive, or over 1000.
