@@ -11,11 +11,15 @@ from typing import IO
 from jaxfit.errors import InputError
 
 
-def open_regular(path: str | Path) -> IO[bytes]:
+def open_regular(path: str | Path, most_bytes: int | None = None) -> IO[bytes]:
     """A file to read from, if it is a regular one: a pipe would keep its reader waiting, a device has no end.
 
+    Args:
+        path: the file.
+        most_bytes: how large it may be: one of terabytes takes no room on a disk where it is all zeros.
+
     Raises:
-        OSError: it is none, or cannot be opened.
+        OSError: it is no such file, or cannot be opened.
     """
 
     def opener(name: str, flags: int) -> int:
@@ -24,17 +28,39 @@ def open_regular(path: str | Path) -> IO[bytes]:
         except BlockingIOError:  # a file that another program wants to have written first: no pipe
             descriptor = os.open(name, flags)
         try:
-            mode = os.fstat(descriptor).st_mode
-            if not stat.S_ISREG(mode):
-                if stat.S_ISDIR(mode):
-                    raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            found = os.fstat(descriptor)
+            if stat.S_ISDIR(found.st_mode):
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            if not stat.S_ISREG(found.st_mode):
                 raise OSError(errno.EINVAL, "a device or pipe, and not a regular file")
+            if most_bytes is not None and found.st_size > most_bytes:
+                raise OSError(errno.EFBIG, f"expected a file of at most {most_bytes:,} bytes; it has {found.st_size:,}")
         except BaseException:
             os.close(descriptor)
             raise
         return descriptor
 
     return open(path, "rb", buffering=0, opener=opener)
+
+
+def read_regular(path: str | Path, most_bytes: int) -> bytes:
+    """What is in a file, as `open_regular` opens it.
+
+    Raises:
+        OSError: as `open_regular`.
+    """
+    with open_regular(path, most_bytes) as file:
+        return file.read()
+
+
+def read_text(path: str | Path, most_bytes: int) -> str:
+    """The text in a file in UTF-8, as `open_regular` opens it; line ends are as they are stored.
+
+    Raises:
+        OSError: as `open_regular`.
+        UnicodeDecodeError: it is no UTF-8.
+    """
+    return read_regular(path, most_bytes).decode("utf-8-sig")
 
 
 def state_of(files: Sequence[str | Path]) -> str:

@@ -13,13 +13,14 @@ DEFAULT_MEGAPIXELS = 180.0
 _MOST_SCANS = 100  # of a progressive JPEG, which have about ten; each goes through the whole picture
 _MOST_WORK = 2000.0  # million pixels times scans
 _MOST_MEGAPIXELS = 1000.0  # OpenCV's own limit is 2^30 pixels
+_BYTES_OF_PIXEL, _BYTES_OF_HEADERS = 8, 1 << 26  # the most that formats without compression take
 
 _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPIXELS)
 
 
 @contextmanager
 def at_most_megapixels(megapixels: float) -> Iterator[None]:
-    """Read pictures of up to so many million pixels; larger ones are problems. Unless told otherwise it is 180.
+    """Read pictures of up to so many million pixels; larger ones are problems. Without this, it is 180.
 
     Memory and time grow with it, in each thread that reads pictures; ``scripts/bombs.py`` measures how.
 
@@ -38,6 +39,11 @@ def at_most_megapixels(megapixels: float) -> Iterator[None]:
 def most_megapixels() -> float:
     """How many million pixels a picture may have."""
     return _megapixels.get()
+
+
+def most_picture_bytes() -> int:
+    """How large the file of a picture may be."""
+    return _BYTES_OF_HEADERS + int(most_megapixels() * 1e6) * _BYTES_OF_PIXEL
 
 
 def size_problem(width: int, height: int, scans: int = 1) -> str | None:

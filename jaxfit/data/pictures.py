@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxfit.data.complaints import damage_of
 from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
-from jaxfit.data.inputs import open_regular
+from jaxfit.data.inputs import open_regular, read_regular
+from jaxfit.data.limits import most_picture_bytes
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.sizes import decoded_size, decoding_problem, is_deep, work_of
 from jaxfit.data.threads import interruptible
@@ -98,8 +99,7 @@ def _data(path: str | Path | bytes) -> bytes:
     if isinstance(path, bytes):
         return path
     try:
-        with open_regular(path) as file:  # each call less is a wait less for Python's lock
-            return file.read()
+        return read_regular(path, most_picture_bytes())
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
         why = _listing_problem(path) if isinstance(error, IsADirectoryError) else None
         raise ImageError(f"{path}: cannot be read ({why or getattr(error, 'strerror', None) or error})") from error

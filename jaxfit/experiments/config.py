@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.inputs import open_regular
+from jaxfit.data.inputs import read_regular
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
@@ -186,16 +186,10 @@ def read_config(path: str | Path) -> Config:
     """
     path = Path(path)
     try:
-        with open_regular(path) as file:
-            text = file.read(_MOST_BYTES + 1)
-        if len(text) > _MOST_BYTES:
-            raise InputError(f"{path}: expected a configuration of up to {_MOST_BYTES:,} bytes; it is larger")
-        values = tomllib.loads(text.decode("utf-8"))
+        values = tomllib.loads(read_regular(path, _MOST_BYTES).decode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a configuration in TOML") from None
     except (ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{path}: is not TOML: {error}") from None
     try:
         return config_from(values)

@@ -18,10 +18,20 @@ from safetensors.numpy import load as parse_tensors
 
 from jaxfit.cascade.fit import find
 from jaxfit.cascade.starts import Starts
+from jaxfit.data.inputs import read_regular
 from jaxfit.errors import InputError, ModelError
 from jaxfit.fitting.stream import BATCHES
 from jaxfit.image.frame import Frame
-from jaxfit.models.files import DAMAGE, check_target, read_header, read_usage, tensors_of, usage_of, write_tensors
+from jaxfit.models.files import (
+    DAMAGE,
+    MOST_BYTES,
+    check_target,
+    read_header,
+    read_usage,
+    tensors_of,
+    usage_of,
+    write_tensors,
+)
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.scheme import Scheme
@@ -152,7 +162,7 @@ def load_exported(path: str | Path) -> Exported:
         InputError: flatbuffers is not installed.
     """
     try:
-        data = Path(path).read_bytes()
+        data = read_regular(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ModelError(f"no exported model {str(path)!r}: expected the path of a file ({why})") from None

@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.data.headers import JPEG, exif_orientation
+from jaxfit.data.inputs import open_regular
+from jaxfit.data.limits import most_picture_bytes
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
@@ -26,7 +28,7 @@ def turned_pictures(pictures: Iterable[Path]) -> dict[Path, int]:
     turned = {}
     for picture in dict.fromkeys(pictures):
         try:
-            with picture.open("rb") as file:
+            with open_regular(picture, most_picture_bytes()) as file:
                 head = file.read(_HEAD)
                 orientation = exif_orientation(head if head.startswith(JPEG) else head + file.read())
         except (OSError, ValueError):  # whoever needs the picture says so

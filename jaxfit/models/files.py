@@ -15,7 +15,7 @@ from safetensors.numpy import save as pack_tensors
 
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade
-from jaxfit.data.inputs import open_regular
+from jaxfit.data.inputs import read_regular
 from jaxfit.data.outputs import atomic_write
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.errors import InputError, JaxfitError, ModelError
@@ -33,6 +33,7 @@ BUNDLED = "jaxfit.models"  # the package that models come with
 DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
+MOST_BYTES = 1 << 30  # of a file; bundled ones have ten million
 _MOST_PLACEMENT = 10.0  # sides of a box, and logarithms: those that were measured are below 1
 # What parsing may raise whatever the bytes.
 DAMAGE = (
@@ -165,8 +166,7 @@ def read_named(name: str | Path, package: str, kind: str) -> bytes:
     if str(name) in names:
         return (resources.files(package) / "bundled" / f"{name}{SUFFIX}").read_bytes()
     try:
-        with open_regular(name) as file:
-            return file.read()
+        return read_regular(name, MOST_BYTES)
     except (OSError, ValueError) as error:
         raise ModelError(
             f"no {kind} {str(name)!r}: expected one of the bundled {kind}s ({', '.join(names) or 'none'}) or "

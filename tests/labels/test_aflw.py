@@ -187,5 +187,5 @@ def test_a_query_ends(aflw, monkeypatch):
         add_aflw_face(database, face)
     add_aflw_picture(database, folder, "p1")
     monkeypatch.setattr("jaxfit.labels.importers.aflw._MOST_SECONDS", -1.0)
-    with pytest.raises(DatasetError, match="interrupted"):
+    with pytest.raises(DatasetError, match="takes over -1 seconds"):
         read_aflw(path)

@@ -32,7 +32,7 @@ _FACES = """
 _TABLES = ("Faces", "FaceImages", "FaceRect", "FacePose", "FeatureCoords")
 _COMPUTED = re.compile(r"\bvirtual\b|\bgenerated\b|\bas\s*\(", re.IGNORECASE)  # tables and columns
 # AFLW has 26,000 faces and 380,000 points, which are read in two seconds.
-_MOST_SECONDS, _MOST_ROWS, _MOST_LETTERS, _MOST_BYTES = 60.0, 5_000_000, 4096, 100_000
+_MOST_SECONDS, _MOST_ROWS, _MOST_LETTERS, _MOST_BYTES = 30.0, 5_000_000, 4096, 100_000
 _POINTS = "SELECT face_id, feature_id, x, y FROM FeatureCoords"
 
 
@@ -73,25 +73,50 @@ def _database(folder: Path) -> Path:
 @contextmanager
 def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     # Immutable: SQLite then makes no lock or journal files, which read-only media would refuse.
+    stop = _Stop()
     try:
         with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
+            database.set_progress_handler(stop, 10_000)
             _restrain(database)
             yield database
+    except sqlite3.OperationalError as error:
+        if stop.interrupted:
+            raise KeyboardInterrupt from None
+        why = f"reading it takes over {_MOST_SECONDS:g} seconds" if stop.late else error
+        raise DatasetError(f"{file}: expected AFLW's SQLite database; {why}; copy it again") from error
     except (sqlite3.Error, UnicodeError) as error:  # SQLite's own messages may quote bytes that are no text
         raise DatasetError(f"{file}: expected AFLW's SQLite database; {error}; copy it again") from error
 
 
+class _Stop:
+    """Whether SQLite has to stop, which asks again and again, and forgets errors.
+
+    Attributes:
+        late: because it has taken too long.
+        interrupted: because of Ctrl-C.
+    """
+
+    def __init__(self) -> None:
+        self._end = time.monotonic() + _MOST_SECONDS
+        self.late = self.interrupted = False
+
+    def __call__(self) -> bool:
+        try:
+            self.late = time.monotonic() > self._end
+        except KeyboardInterrupt:
+            self.interrupted = True
+        return self.late or self.interrupted
+
+
 def _restrain(database: sqlite3.Connection) -> None:
-    """Let nothing in the file run, nor go on for ever: it may be of anyone.
+    """Let nothing in the file run: it may be of anyone.
 
     Raises:
         sqlite3.Error: something that is read is no table, but computed.
     """
-    end = time.monotonic() + _MOST_SECONDS
     database.execute("PRAGMA trusted_schema = OFF")
     database.execute("PRAGMA cell_size_check = ON")
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MOST_BYTES)
-    database.set_progress_handler(lambda: time.monotonic() > end, 10_000)
     kinds = dict(database.execute("SELECT lower(name), type || ' ' || sql FROM sqlite_master WHERE type <> 'index'"))
     for table in _TABLES:
         kind = str(kinds.get(table.lower(), ""))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.inputs import open_regular
+from jaxfit.data.inputs import read_regular
 from jaxfit.errors import DatasetError
 
 # Types of elements.
@@ -34,10 +34,7 @@ def read_matlab(path: Path) -> dict[str, np.ndarray]:
         DatasetError: the file cannot be read, is of another kind, or damaged.
     """
     try:
-        with open_regular(path) as file:
-            data = file.read(_LARGEST + 1)
-        if len(data) > _LARGEST:
-            raise ValueError(f"it is over {_LARGEST >> 20} MiB large")
+        data = read_regular(path, _LARGEST)
         # The version and the mark of files whose numbers start with the lowest byte.
         if data[124:_HEADER] != b"\x00\x01IM":
             raise ValueError("it does not start like one")
