@@ -10,7 +10,7 @@ from jaxfit.cli.arguments import (
     given_search,
     given_starts,
 )
-from jaxfit.cli.progress import Bars
+from jaxfit.cli.progress import Bars, say
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.pictures import find_images
 from jaxfit.runs.collection import fit_collection
@@ -58,6 +58,6 @@ def run(options: argparse.Namespace) -> int:
             part=options.part,
             progress=bars,
         )
-    print("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
-    print(f"written: {options.out}/parts, {options.out}/manifest.parquet")
+    say("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    say(f"written: {options.out}/parts, {options.out}/manifest.parquet")
     return 0 if outcomes["fitted"] and not outcomes["missing"] else 1

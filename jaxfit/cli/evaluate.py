@@ -24,7 +24,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.detectors import Search, detector_named
@@ -182,17 +182,17 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         + [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
-    print(
+    say(
         "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
         "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
-    print(text_table([_row(spec, result) for spec, result in results.items()], columns))
+    say(text_table([_row(spec, result) for spec, result in results.items()], columns))
     for spec, result in results.items():
         if result.fits.pose is not None and np.isfinite(result.true_pose).any():
-            print(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
-            print(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
-    print(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
+            say(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
+            say(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
+    say(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
     return 0
 
 
@@ -216,7 +216,7 @@ def _for_model(model: Model, dataset: Dataset) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is said; else as it is."""
     if (dataset.scheme.name, model.scheme.name) not in CONVERSIONS:
         return dataset
-    print(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
+    say(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
     return convert_dataset(dataset, model.scheme)
 
 
@@ -241,7 +241,7 @@ def _start_kind(model: Model, dataset: Dataset) -> str:
         return SQUARE
     if own in model.known_placements:
         return own
-    print(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
+    say(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
     return SQUARE
 
 

@@ -14,8 +14,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems
-from jaxfit.data.names import plain
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.pictures import find_images
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS
 from jaxfit.models.files import load
@@ -87,11 +86,11 @@ def run(options: argparse.Namespace) -> int:
     with Bars() as bars:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
-        print(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
+        say(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
     if report.left_out:
-        print(
+        say(
             f"left out: {len(report.left_out)} pictures that an earlier run wrote to {options.out}, "
-            f"such as {plain(str(report.left_out[0]))}"
+            f"such as {report.left_out[0]}"
         )
     problems = untrained_starts(options.model, load(options.model), starts)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
@@ -99,6 +98,6 @@ def run(options: argparse.Namespace) -> int:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")
     report_problems(problems)
     doubtful = f" ({report.doubtful} of them doubtful)" if report.doubtful else ""
-    print(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
-    print(f"written: {', '.join(map(str, report.written))}")
+    say(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
+    say(f"written: {', '.join(map(str, report.written))}")
     return 0 if report.faces else 1

@@ -9,9 +9,9 @@ from typing import Any
 
 import jaxfit
 from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.cli.progress import say
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels
-from jaxfit.data.names import printable
 from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
@@ -60,17 +60,17 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
         return 141
     except (JaxfitError, OSError) as error:
         # Full disks, folders that may not be written to: nothing that a traceback would explain better.
-        print(f"jaxfit: error: {printable(str(error))}", file=sys.stderr)
+        say(f"jaxfit: error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
+        say("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
         return _STOPPED
 
 
 def program() -> None:
     """The command as a program of its own, which ends at once when it is stopped: threads that decode large pictures do
     not hear of it."""
-    if sys.stderr.fileno() == 2:  # what decoders print there is listened to, and is not for the terminal
+    if sys.stderr.fileno() == 2:  # what decoders print there is read by jaxfit
         sys.stderr = open(os.dup(2), "w", buffering=1, errors="backslashreplace")  # noqa: SIM115 - until the end
     code = main()
     if code == _STOPPED:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.cli.arguments import add_detector, given_search
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
@@ -99,12 +99,12 @@ def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Ite
     if video.problem:
         problems.append(video.problem)
     report_problems(problems)
-    print(
+    say(
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
     replace_results(folder, _COMMAND, written, {"model": options.model, "video": options.video})
     written.append(MANIFEST)
-    print(f"written: {', '.join(str(folder / name) for name in written)}")
+    say(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1
 
 
