@@ -41,13 +41,10 @@ EXPORT_FORMAT = 1
 PLATFORMS = ("cpu", "cuda")
 
 _KEY = "jaxfit-export"
-# What programs may call outside themselves: the linear algebra that those of 3D alignment need, on CPUs and GPUs.
+# What programs may call outside themselves: those of 3D alignment solve linear systems, on CPUs and GPUs; others call
+# nothing.
 _CUSTOM_CALL = re.compile(r"custom_call[^@\n]*?@\"?([^\s\"(]+)")
-_KNOWN_CALLS = frozenset(
-    ["cu_lu_pivots_to_permutation"]
-    + [f"lapack_s{routine}_ffi" for routine in ("getrf", "trsm", "gesdd", "potrf", "geqrf", "orgqr", "syevd")]
-    + [f"cusolver_{routine}_ffi" for routine in ("getrf", "gesvd", "gesvdj", "potrf", "geqrf", "orgqr", "syevd")]
-)
+_KNOWN_CALLS = frozenset(["lapack_sgetrf_ffi", "lapack_strsm_ffi", "cusolver_getrf_ffi", "cu_lu_pivots_to_permutation"])
 _LOCATIONS = "jax_traceback_in_locations_limit"
 _FLATBUFFERS = 'exported models need flatbuffers, which JAX stores programs with: pip install "jaxfit[export]"'
 _UNITS = {
