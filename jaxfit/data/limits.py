@@ -6,6 +6,7 @@ A file of some kilobytes can stand for gigabytes of pixels, or for minutes of wo
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from threading import Condition
 
 from jaxfit.errors import InputError
 
@@ -22,7 +23,8 @@ _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPI
 def at_most_megapixels(megapixels: float) -> Iterator[None]:
     """Read pictures of up to so many million pixels; larger ones are problems. Without this, it is 180.
 
-    Memory and time grow with it, in each thread that reads pictures; ``scripts/bombs.py`` measures how.
+    Pictures that are fitted at the same time have at most as many together. Memory and time grow with it;
+    ``scripts/bombs.py`` measures how.
 
     Raises:
         InputError: it is not positive, or over 1000.
@@ -39,6 +41,44 @@ def at_most_megapixels(megapixels: float) -> Iterator[None]:
 def most_megapixels() -> float:
     """How many million pixels a picture may have."""
     return _megapixels.get()
+
+
+class _Block:
+    """The pictures that a block of `counted_together`, or all of them, have read."""
+
+    def __init__(self) -> None:
+        self.pixels = 0
+
+
+_block: ContextVar[_Block | None] = ContextVar("block", default=None)
+_turn, _all = Condition(), _Block()
+
+
+@contextmanager
+def counted_together() -> Iterator[None]:
+    """Pictures that are read in such blocks, in however many threads, have at most as many pixels together as one may
+    have: each waits until those of others are few enough, and counts until its block ends."""
+    block = _Block()
+    token = _block.set(block)
+    try:
+        yield
+    finally:
+        _block.reset(token)
+        with _turn:
+            _all.pixels -= block.pixels
+            _turn.notify_all()
+
+
+def count_picture(pixels: int) -> None:
+    """Wait, in a block of `counted_together`, until there is room for a picture of so many pixels."""
+    block = _block.get()
+    if block is None:
+        return
+    with _turn:
+        if not block.pixels:  # blocks that have read some would wait for one another
+            _turn.wait_for(lambda: not _all.pixels or _all.pixels + pixels <= most_megapixels() * 1e6)
+        block.pixels += pixels
+        _all.pixels += pixels
 
 
 def most_picture_bytes() -> int:

@@ -14,12 +14,12 @@ import cv2
 import jax
 import numpy as np
 
-from jaxfit.data.complaints import damage_of
+from jaxfit.data.damage import damage_of
 from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
 from jaxfit.data.inputs import open_regular, read_regular
-from jaxfit.data.limits import most_picture_bytes
+from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.sizes import decoded_size, decoding_problem, is_deep, work_of
+from jaxfit.data.sizes import decoded_size, is_deep, scans_of
 from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -44,7 +44,8 @@ Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures 
 NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
-_AT_ONCE = 8.0  # million pixels, times scans, that take well under two seconds in any format
+_ROWS = 1024  # of a picture that are converted at a time
+_QUICK = 8_000_000  # pixels, times scans, that take well under two seconds in any format
 _LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 
 
@@ -111,39 +112,43 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         raise ImageError(f"{source}: {complaint}")
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
-    if complaint := decoding_problem(data):
+    size, scans = decoded_size(data), scans_of(data)
+    width, height = size or (0, 0)
+    if complaint := size_problem(width, height, scans):
         raise ImageError(f"{source}: {complaint}")
+    count_picture(width * height)
     if is_heic(data):
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
-    picture = _by_opencv(source, data, flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    decode = partial(_by_opencv, source, data, long=width * height * scans > _QUICK)
+    # Without a size it may be whatever it is: nobody knows how much would come of it.
+    picture = None if size is None else decode(flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is None:
         raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
     if is_deep(data) and picture.max() < _LEAST_OF_SIXTEEN >> 8:
-        unchanged = _by_opencv(source, data, cv2.IMREAD_UNCHANGED)
-        if unchanged is not None and 0 < (largest := int(unchanged.max())) < _LEAST_OF_SIXTEEN:
+        grey = decode(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+        if grey is not None and (largest := int(grey.max())):
             raise ImageError(
                 f"{source}: expected values up to 65535 in a picture of 16 bits, of which the upper 8 are kept; its "
                 f"largest value is {largest}: scale it, or save it with 8 bits"
             )
     if picture.ndim == 3:
-        cv2.cvtColor(picture, cv2.COLOR_BGR2RGB, picture)  # in place: a large picture is not held twice
+        for first in range(0, len(picture), _ROWS):  # OpenCV copies what it converts in place
+            rows = picture[first : first + _ROWS]
+            cv2.cvtColor(rows, cv2.COLOR_BGR2RGB, rows)
     return picture
 
 
-def _by_opencv(source: str | Path, data: bytes, flags: int) -> np.ndarray | None:
-    """What OpenCV makes of a picture; None if it makes nothing of it.
+def _by_opencv(source: str | Path, data: bytes, flags: int, *, long: bool) -> np.ndarray | None:
+    """What OpenCV makes of a picture, which may take long; None if it makes nothing of it.
 
     Raises:
         ImageError: it says that the picture is damaged.
     """
-    if decoded_size(data) is None:  # whatever it may be: nobody knows how much would come of it
-        return None
     decode = partial(cv2.imdecode, np.frombuffer(data, np.uint8), flags)
-    large = work_of(data) > _AT_ONCE
     try:
         with quiet():
-            picture, damage = interruptible(partial(damage_of, decode)) if large else damage_of(decode)
+            picture, damage = interruptible(partial(damage_of, decode)) if long else damage_of(decode)
     except cv2.error as error:
         raise ImageError(f"{source}: cannot be decoded ({error.err or error})") from error
     if damage:

@@ -5,7 +5,6 @@ import struct
 from collections.abc import Iterator
 
 from jaxfit.data.headers import ISO_PICTURES, JPEG, PNG, START_OF_SCAN, jpeg_markers, largest_item, stored_size
-from jaxfit.data.limits import size_problem
 
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}  # the order of bytes; with a plus, large files
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 322, 323
@@ -15,7 +14,7 @@ _PAM = re.compile(rb"P7\s.*?WIDTH\s+(\d{1,9}).*?HEIGHT\s+(\d{1,9})", re.DOTALL)
 _RADIANCE = re.compile(rb"#\?.*?\n\n[+-]Y (\d{1,9}) [+-]X (\d{1,9})\n", re.DOTALL)
 _SUN = b"\x59\xa6\x6a\x95"
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
-_HEAD = 65536  # bytes that headers of text may take
+_HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
 
 
 def decoded_size(data: bytes) -> tuple[int, int] | None:
@@ -27,26 +26,11 @@ def decoded_size(data: bytes) -> tuple[int, int] | None:
         return None
 
 
-def decoding_problem(data: bytes) -> str | None:
-    """Why not to decode a picture, whose header promises too many pixels or too much work; None if there is no reason,
-    or if it is none that a decoder reads."""
-    size = decoded_size(data)
-    if size is None:
-        return None
-    return size_problem(*size, scans=scans_of(data))
-
-
 def scans_of(data: bytes) -> int:
     """How often a decoder goes through a picture: the scans of a JPEG file, 1 of all else."""
     if not data.startswith(JPEG):
         return 1
     return max(1, sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data)))
-
-
-def work_of(data: bytes) -> float:
-    """Million pixels that a decoder goes through, once a scan; 0 for what none reads."""
-    width, height = decoded_size(data) or (0, 0)
-    return width * height * scans_of(data) / 1e6
 
 
 def is_deep(data: bytes) -> bool:

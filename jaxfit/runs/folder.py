@@ -19,7 +19,7 @@ from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
 from jaxfit.data.inputs import require_no_inputs, same_files
-from jaxfit.data.limits import most_megapixels
+from jaxfit.data.limits import counted_together, most_megapixels
 from jaxfit.data.locks import held
 from jaxfit.data.names import plain, table_path, unique_names
 from jaxfit.data.outputs import (
@@ -390,12 +390,13 @@ def _draw(
     def draw(picture: Path, label: str) -> list[Row]:
         path = folder / f"{label}.jpg"
         try:
-            canvas = read_image(picture)
-            for number, row in enumerate(faces[str(picture)], 1):
-                canvas = draw_row(canvas, row, scheme)
-                name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
-                canvas = draw_name(canvas, name, box_of(row), row["ok"])
-            write_image(path, canvas)
+            with counted_together():
+                canvas = read_image(picture)
+                for number, row in enumerate(faces[str(picture)], 1):
+                    canvas = draw_row(canvas, row, scheme)
+                    name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
+                    canvas = draw_name(canvas, name, box_of(row), row["ok"])
+                write_image(path, canvas)
         except ImageError as error:
             return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]
         except (OSError, InputError) as error:

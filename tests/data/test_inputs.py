@@ -6,8 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from jaxfit.data.boxes import read_boxes
 from jaxfit.data.inputs import require_no_inputs, same_files, state_of
-from jaxfit.errors import InputError
+from jaxfit.data.pts import read_pts
+from jaxfit.errors import InputError, JaxfitError
+from jaxfit.heads.mesh_points import read_mesh_points
+from jaxfit.labels.importers.lfpw import read_lfpw
 
 
 def _itself(folder: Path) -> tuple[Path, Path]:
@@ -92,3 +96,12 @@ def test_states_change_with_files(tmp_path: Path) -> None:
         states.append(state_of([path]))
         assert state_of([path]) == states[-1]
     assert len(set(states)) == len(states)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")
+@pytest.mark.parametrize("read", [read_pts, read_boxes, read_lfpw, read_mesh_points])
+def test_labels_and_boxes_are_regular_files(read: Callable[[Path], object], tmp_path: Path) -> None:
+    """Who reads a pipe waits for ever, or takes what is in it, which nobody can read again."""
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(JaxfitError, match="a device or pipe, and not a regular file"):
+        read(tmp_path / "pipe")

@@ -8,7 +8,7 @@ import time
 import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels, most_megapixels
+from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels, counted_together, most_megapixels
 from jaxfit.data.pictures import decode_image, find_images, read_grey, read_image
 from jaxfit.data.sizes import decoded_size, scans_of
 from jaxfit.data.threads import in_order, interruptible
@@ -130,6 +130,33 @@ def test_limits_reach_threads_and_end() -> None:
     for wrong in (0.0, -1.0, 1001.0, float("nan")):
         with pytest.raises(InputError, match="megapixels a picture"), at_most_megapixels(wrong):
             pass
+
+
+def test_pictures_in_memory_are_no_more_than_one_may_be() -> None:
+    """In all threads together; whoever reads two does not wait for itself, and errors give the room back."""
+    data, inside, most = encoded(".png"), 0, 0
+
+    def read(number: int) -> None:
+        nonlocal inside, most
+        with suppress(ImageError), at_most_megapixels(0.01), counted_together():
+            decode_image(data)
+            inside += 1
+            most = max(most, inside)
+            time.sleep(0.01)
+            inside -= 1
+            decode_image(data[:-20] if number % 2 else data)
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(read, range(20)))
+    assert most == 2  # of 4,800 pixels
+
+
+def test_files_are_as_large_as_pictures_may_be(tmp_path: Path) -> None:
+    path = tmp_path / "terabyte.jpg"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ImageError, match=r"terabyte\.jpg: cannot be read \(expected a file of at most 1,507,"):
+        read_image(path)
 
 
 def zeroed(data: bytes) -> bytes:

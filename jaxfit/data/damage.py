@@ -18,9 +18,9 @@ _DAMAGE = re.compile(rb"premature end|Premature end|bad Huffman|bad arithmetic|i
 
 
 class _Listener:
-    """Listens to the standard error of the process while pictures are decoded, in however many threads.
+    """Reads the standard error of the process while pictures are decoded, in however many threads.
 
-    What others print there meanwhile is passed on. Processes that are started meanwhile print into the void.
+    What others print there meanwhile is passed on; what processes print that are started meanwhile is lost.
     """
 
     def __init__(self) -> None:
