@@ -1,8 +1,6 @@
 """``python -m jaxfit``: the ``jaxfit`` command."""
 
-import sys
-
-from jaxfit.cli.main import main
+from jaxfit.cli.main import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

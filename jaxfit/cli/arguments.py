@@ -11,6 +11,7 @@ from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox
 from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
+from jaxfit.data.limits import DEFAULT_MEGAPIXELS
 from jaxfit.data.numbers import whole_number
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
@@ -48,6 +49,18 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         "whatever EXIF data say",
     )
     command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
+    add_max_megapixels(command)
+
+
+def add_max_megapixels(command: argparse.ArgumentParser) -> None:
+    """``--max-megapixels N``."""
+    command.add_argument(
+        "--max-megapixels",
+        type=float,
+        default=DEFAULT_MEGAPIXELS,
+        metavar="N",
+        help=f"of a picture, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small files may become very large",
+    )
 
 
 def add_pictures(command: argparse.ArgumentParser) -> None:
@@ -59,6 +72,7 @@ def add_pictures(command: argparse.ArgumentParser) -> None:
         help="pictures, folders of pictures, or patterns such as 'a/*.jpg'",
     )
     command.add_argument("--recursive", action="store_true", help="take pictures in folders within the folders, too")
+    add_max_megapixels(command)
     command.add_argument(
         "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
     )

@@ -9,9 +9,8 @@ from jaxfit.cli.arguments import (
     add_starts,
     given_search,
     given_starts,
-    out_folder,
 )
-from jaxfit.cli.progress import Bars
+from jaxfit.cli.progress import Bars, say
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.pictures import find_images
 from jaxfit.runs.collection import fit_collection
@@ -47,17 +46,18 @@ def run(options: argparse.Namespace) -> int:
         given_starts(options),
         options.refine,
         options.cores,
+        options.max_megapixels,
     )
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:
         outcomes = fit_collection(
             pictures,
-            out_folder(options.out),
+            options.out,
             fitter,
             workers=options.workers,
             part=options.part,
             progress=bars,
         )
-    print("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
-    print(f"written: {options.out}/parts, {options.out}/manifest.parquet")
+    say("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
+    say(f"written: {options.out}/parts, {options.out}/manifest.parquet")
     return 0 if outcomes["fitted"] and not outcomes["missing"] else 1

@@ -3,6 +3,7 @@
 import argparse
 import json
 from collections.abc import Iterator
+from contextlib import ExitStack
 from math import isfinite, isnan
 from pathlib import Path
 from typing import Any
@@ -18,18 +19,19 @@ from jaxfit.cli.arguments import (
     given_boxes,
     given_search,
     given_starts,
-    out_folder,
     read_datasets,
     seed,
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.detectors import Search, detector_named
+from jaxfit.data.inputs import require_no_inputs
+from jaxfit.data.locks import held
 from jaxfit.data.names import plain, table_path, table_word
-from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, write_csv
+from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.evaluate import (
@@ -58,7 +60,7 @@ from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
-_COMMAND = "jaxfit evaluate"
+_COMMAND, _WRITTEN = "jaxfit evaluate", ("report.json", "faces.csv")
 _ERROR_3D = "3D median"
 _COLUMNS = {"dataset": "", "relative to": "", **SUMMARY_COLUMNS, _ERROR_3D: ".4f", "ms/face": ".1f"}
 _BOX_COLUMNS = ("x", "y", "width", "height")
@@ -100,6 +102,12 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Evaluate, print the table, write ``report.json`` and ``faces.csv``."""
+    with ExitStack() as until_the_end:
+        return _evaluate(options, until_the_end)
+
+
+def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
+    """What `run` does, in a folder of results that is held from where all requests are known to be right."""
     model = load(options.model)
     datasets = read_datasets(options.data, options.scheme)
     if options.scheme is None:
@@ -119,7 +127,15 @@ def run(options: argparse.Namespace) -> int:
         require_refinable(model)
     require_own_folder(options.out, _COMMAND)
     boxes, unused = (None, []) if named is None else _boxes_of_pictures(options.boxes, named, datasets)
-    folder = out_folder(options.out)
+    folder = Path(options.out)
+    if is_first():
+        until_the_end.enter_context(held(folder, _COMMAND))
+    given = [
+        options.model,
+        *([options.boxes] if options.boxes else []),
+        *(face.image for dataset in datasets for face in dataset.faces),
+    ]
+    require_no_inputs([folder / name for name in (*_WRITTEN, MANIFEST)], given)
     kinds = {dataset.spec: _box_kind(options, model, named, dataset) for dataset in datasets}
     if options.detector is not None:
         passes = passes_from(detector_named(options.detector))
@@ -152,7 +168,7 @@ def run(options: argparse.Namespace) -> int:
     if not is_first():
         return 0
     reports = {spec: {"box_kind": kinds[spec], **_report(result)} for spec, result in results.items()}
-    with atomic_write(folder / "report.json", "w") as file:
+    with atomic_write(folder / _WRITTEN[0], "w") as file:
         settings = {
             "boxes": options.boxes,
             "detector": options.detector,
@@ -164,26 +180,26 @@ def run(options: argparse.Namespace) -> int:
             "passes": passes,
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
-    write_csv(folder / "faces.csv", _FACE_COLUMNS, _faces(results))
-    replace_results(folder, _COMMAND, ["report.json", "faces.csv"], {"model": options.model, "data": list(reports)})
+    write_csv(folder / _WRITTEN[1], _FACE_COLUMNS, _faces(results))
+    replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)})
     report_problems(
         untrained_starts(options.model, model, starts)
         + unused
         + [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
-    print(
+    say(
         "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
         "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated. Learned from: "
         "faces in pictures that the model was trained on, which are no test of it."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
-    print(text_table([_row(spec, result) for spec, result in results.items()], columns))
+    say(text_table([_row(spec, result) for spec, result in results.items()], columns))
     for spec, result in results.items():
         if result.fits.pose is not None and np.isfinite(result.true_pose).any():
-            print(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
-            print(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
-    print(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
+            say(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
+            say(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
+    say(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
     return 0
 
 
@@ -207,7 +223,7 @@ def _for_model(model: Model, dataset: Dataset) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is said; else as it is."""
     if (dataset.scheme.name, model.scheme.name) not in CONVERSIONS:
         return dataset
-    print(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
+    say(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
     return convert_dataset(dataset, model.scheme)
 
 
@@ -232,7 +248,7 @@ def _start_kind(model: Model, dataset: Dataset) -> str:
         return SQUARE
     if own in model.known_placements:
         return own
-    print(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
+    say(f"{dataset.spec}: the model does not know how faces lie in {own} boxes and takes them for {SQUARE} ones")
     return SQUARE
 
 

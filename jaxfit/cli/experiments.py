@@ -8,7 +8,7 @@ from math import isnan
 from pathlib import Path
 
 from jaxfit.cli.arguments import out_folder
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.outputs import replace_results, require_own_folder
 from jaxfit.evaluation.tables import text_table
 from jaxfit.experiments.config import read_config
@@ -75,7 +75,7 @@ def run_command(options: argparse.Namespace) -> int:
     report_problems(list(results.problems))
     done = f"{results.tasks - results.missing} of {results.tasks} tasks done"
     took = f"{progress.ran} of them now, in {duration(time.monotonic() - begin)}"
-    print(f"{done}, {took}; next: jaxfit experiments report {options.out}")
+    say(f"{done}, {took}; next: jaxfit experiments report {options.out}")
     return 0
 
 
@@ -93,7 +93,7 @@ class _TaskProgress:
         left = "" if isnan(status.seconds_left) else f", {duration(status.seconds_left)} left"
         self._task = f"{status.done + 1}/{status.tasks}{left}: {task.name}"
         if not sys.stderr.isatty():
-            print(self._task, file=sys.stderr, flush=True)
+            say(self._task, file=sys.stderr, flush=True)
 
     def within(self, stage: str, done: int, total: int) -> None:
         """So much of a stage of the task is done."""
@@ -115,11 +115,11 @@ def _dry_run(experiment: Experiment) -> int:
     done = Counter("/".join(task.name.split("/")[:2]) for task in tasks if experiment.done(task.name))
     rows = [{"tasks": kind, "in all": count, "done": done[kind]} for kind, count in kinds.items()]
     for name, faces in experiment.faces.items():
-        print(f"{name}: {len(faces.records)} faces with all {faces.scheme.count} landmarks ({faces.scheme.name})")
+        say(f"{name}: {len(faces.records)} faces with all {faces.scheme.count} landmarks ({faces.scheme.name})")
     report_problems([problem for faces in experiment.faces.values() for problem in faces.problems])
-    print(text_table(rows, {"tasks": "", "in all": "d", "done": "d"}))
+    say(text_table(rows, {"tasks": "", "in all": "d", "done": "d"}))
     left = f"{status.tasks - status.done} of {status.tasks} tasks to run"
-    print(f"{left}; one process takes about {duration(seconds)}, {how}")
+    say(f"{left}; one process takes about {duration(seconds)}, {how}")
     return 0
 
 
@@ -134,8 +134,8 @@ def report_command(options: argparse.Namespace) -> int:
     replace_results(target, _REPORT, written, {"pictures": not options.no_pictures})
     if results.missing:
         missing = f"{results.missing} of {results.tasks} tasks are not run yet"
-        print(f"{missing}; the parts of the report that need them are left out", file=sys.stderr)
-    print(f"written: {target / 'report.html'}, tables, figures")
+        say(f"{missing}; the parts of the report that need them are left out", file=sys.stderr)
+    say(f"written: {target / 'report.html'}, tables, figures")
     return 0
 
 

@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 
 from jaxfit.cli.arguments import add_starts, given_starts, untrained_starts
-from jaxfit.cli.progress import report_problems
+from jaxfit.cli.progress import report_problems, say
+from jaxfit.data.inputs import require_no_inputs
 from jaxfit.fitting.export import export_model, load_exported
 from jaxfit.models.files import SUFFIX, load
 
@@ -27,12 +28,13 @@ def run(options: argparse.Namespace) -> int:
     """Export, and load again what was written."""
     model, out = load(options.model), Path(options.out)
     starts = given_starts(options)
+    require_no_inputs([out], [options.model])
     export_model(model, out, starts)
     exported = load_exported(out)
     report_problems(untrained_starts(options.model, model, starts))
     side = exported.frame.crop
-    print(f"{out}: {options.model}, {model.scheme.name}, {out.stat().st_size / 2**20:.1f} MiB")
-    print(f"in: crops (N, {side}, {side}) uint8")
+    say(f"{out}: {options.model}, {model.scheme.name}, {out.stat().st_size / 2**20:.1f} MiB")
+    say(f"in: crops (N, {side}, {side}) uint8")
     for name, output in exported.outputs.items():
-        print(f"out: {name} ({', '.join(map(str, output['shape']))}) {output['dtype']}: {output['unit']}")
+        say(f"out: {name} ({', '.join(map(str, output['shape']))}) {output['dtype']}: {output['unit']}")
     return 0

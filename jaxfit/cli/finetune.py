@@ -9,7 +9,8 @@ import numpy as np
 from jaxfit.cascade.tuning import Tuning
 from jaxfit.cli.arguments import DefaultsInHelp, add_confidence, add_head_model, model_target, require_folds, seed
 from jaxfit.cli.labelled_faces import add_faces, add_shared, read_faces, require_people
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance
@@ -73,6 +74,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fine-tune and save."""
     out = model_target(options.out)
+    require_no_inputs([out], [options.model])
     require_folds(options, "confidence")
     model = load(options.model)
     had_confidence = model.confidence is not None
@@ -110,15 +112,15 @@ def run(options: argparse.Namespace) -> int:
     save(model, out)
     checkpoint.unlink(missing_ok=True)
     report_problems([*found.problems, *tuned.problems])
-    print(f"{out}: fine-tuned on {tuned.faces} faces, {out.stat().st_size / 2**20:.1f} MiB")
+    say(f"{out}: fine-tuned on {tuned.faces} faces, {out.stat().st_size / 2**20:.1f} MiB")
     if options.validation:
         best = int(np.nanargmin(tuned.errors))
         before, after = tuned.errors[[0, best]]
-        print(
+        say(
             f"people kept aside: mean error {after:.4f} of the face's side after epoch {best}, {before:.4f} before"
             if best
             else f"people kept aside: no epoch was better than {before:.4f} of the face's side: the model is unchanged"
         )
     if had_confidence and not options.confidence:
-        print("its confidence was that of the model before, and is gone: --confidence learns it anew")
+        say("its confidence was that of the model before, and is gone: --confidence learns it anew")
     return 0

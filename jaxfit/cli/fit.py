@@ -16,7 +16,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.pictures import find_images
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS
 from jaxfit.models.files import load
@@ -90,7 +90,12 @@ def run(options: argparse.Namespace) -> int:
     with Bars() as bars:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
-        print(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
+        say(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
+    if report.left_out:
+        say(
+            f"left out: {len(report.left_out)} pictures that an earlier run wrote to {options.out}, "
+            f"such as {report.left_out[0]}"
+        )
     model = load(options.model)
     problems = untrained_starts(options.model, model, starts) + given_unshift(options, model)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
@@ -98,6 +103,6 @@ def run(options: argparse.Namespace) -> int:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")
     report_problems(problems)
     doubtful = f" ({report.doubtful} of them doubtful)" if report.doubtful else ""
-    print(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
-    print(f"written: {', '.join(map(str, report.written))}")
+    say(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
+    say(f"written: {', '.join(map(str, report.written))}")
     return 0 if report.faces else 1

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.cli.progress import say
 from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.heads.model import load_head_model
@@ -103,7 +104,7 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
         parts.append(list(found.faces))
         sources.append(_source(dataset))
         problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]
-        print(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {scheme.name}")
+        say(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {scheme.name}")
     for tested in read_datasets(arguments.without, None):
         parts = _without(parts, tested)
     # A person of the same name in another dataset is another person, but one of a dataset that is lifted and shared.
@@ -139,5 +140,5 @@ def _without(parts: list[list[FaceRecord]], tested: Dataset) -> list[list[FaceRe
     every, left = (sum(map(len, some)) for some in (parts, kept))
     elsewhere = [(copy, picture) for copy, picture in copies.items() if copy.resolve() != picture.resolve()]
     by_name = f"; some by their names, such as {elsewhere[0][0]} for {elsewhere[0][1]}" if elsewhere else ""
-    print(f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}")
+    say(f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}")
     return kept

@@ -1,17 +1,22 @@
 """The ``jaxfit`` command: parses arguments, says what is wrong in one line, keeps compiled code for later runs."""
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import jaxfit
 from jaxfit.cli import collect, evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.cli.progress import say
 from jaxfit.cli.streams import lasting_streams
 from jaxfit.compile_cache import keep_compiled_code
+from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels
 from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
+_STOPPED = 130  # by Ctrl-C
 _COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments)
 
 
@@ -47,22 +52,33 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
     with lasting_streams() as out:
         try:
             keep_compiled_code()
-            code = run(options)
+            with at_most_megapixels(getattr(options, "max_megapixels", DEFAULT_MEGAPIXELS)):
+                code = run(options)
             out.flush()
         except (JaxfitError, OSError) as error:
             # Full disks, folders that may not be written to: nothing that a traceback would explain better.
-            print(f"jaxfit: error: {error}", file=sys.stderr)
+            say(f"jaxfit: error: {error}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
-            print(
-                "jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr
-            )
-            return 130
+            say("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
+            return _STOPPED
         if out.problem is None:
             return code
-        print(f"jaxfit: error: standard output: {out.problem.strerror}; results in files are whole", file=sys.stderr)
+        say(f"jaxfit: error: standard output: {out.problem.strerror}; results in files are whole", file=sys.stderr)
         return 2
 
 
+def program() -> None:
+    """The command as a program of its own, which ends at once when it is stopped: threads that decode large pictures do
+    not hear of it."""
+    with suppress(OSError, AttributeError):  # it may be closed
+        if sys.stderr.fileno() == 2:  # what decoders print there is read by jaxfit
+            sys.stderr = open(os.dup(2), "w", buffering=1, errors="backslashreplace")  # noqa: SIM115 - until the end
+    code = main()
+    if code == _STOPPED:
+        os._exit(code)  # what was printed is flushed
+    sys.exit(code)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

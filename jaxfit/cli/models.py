@@ -3,6 +3,7 @@
 import argparse
 from importlib import resources
 
+from jaxfit.cli.progress import say
 from jaxfit.errors import InputError
 from jaxfit.models.cards import read_cards
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX, bundled, load
@@ -25,13 +26,13 @@ def run(options: argparse.Namespace) -> int:
     if unknown := [name for name in options.names if name not in cards]:
         raise InputError(f"no model {unknown[0]!r}: expected one of the bundled models {', '.join(bundled())}")
     if options.names:
-        print("\n\n".join(_described(name) for name in options.names))
+        say("\n\n".join(_described(name) for name in options.names))
         return 0
     width = max(map(len, cards))
     for name in sorted(cards, key=lambda name: name != DEFAULT_MODEL):
         default = " (the default)" if name == DEFAULT_MODEL else ""
-        print(f"{name:{width}}  {_megabytes(name):4.1f} MB  {cards[name].summary}{default}")
-    print("\n`jaxfit models NAME` says more. All were trained on pictures that are for research use.")
+        say(f"{name:{width}}  {_megabytes(name):4.1f} MB  {cards[name].summary}{default}")
+    say("\n`jaxfit models NAME` says more. All were trained on pictures that are for research use.")
     return 0
 
 

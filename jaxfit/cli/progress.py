@@ -6,7 +6,13 @@ from typing import Any
 
 from tqdm import tqdm
 
-from jaxfit.data.names import plain
+from jaxfit.data.names import plain, printable
+
+
+def say(text: str, **options: Any) -> None:
+    """Print without what would move a terminal's cursor, as names of files may hold it; options are those of
+    ``print``."""
+    print(printable(text), **options)
 
 
 class Bars:
@@ -32,7 +38,7 @@ class Bars:
             if sys.stderr.isatty():
                 self._bar = tqdm(total=total, desc=stage, dynamic_ncols=True, leave=False)
             else:
-                print(f"{stage} …", file=sys.stderr, flush=True)
+                say(f"{stage} …", file=sys.stderr, flush=True)
         if self._bar is not None:
             self._bar.total = total
             self._bar.update(done - self._bar.n)
@@ -47,8 +53,8 @@ def report_problems(problems: list[str], shown: int = 20) -> None:
     """List what went wrong, at the end, on standard error."""
     if not problems:
         return
-    print(f"{len(problems)} problem{'s' if len(problems) > 1 else ''}:", file=sys.stderr)
+    say(f"{len(problems)} problem{'s' if len(problems) > 1 else ''}:", file=sys.stderr)
     for problem in problems[:shown]:
-        print(f"  {plain(problem)}", file=sys.stderr)  # names of files may hold what moves a terminal's cursor
+        say(f"  {plain(problem)}", file=sys.stderr)  # in one line
     if len(problems) > shown:
-        print(f"  … and {len(problems) - shown} more", file=sys.stderr)
+        say(f"  … and {len(problems) - shown} more", file=sys.stderr)

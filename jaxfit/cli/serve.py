@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from jaxfit.cli.arguments import known_detectors
+from jaxfit.cli.progress import say
 from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
 from jaxfit.errors import InputError
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
@@ -49,13 +50,13 @@ def run(options: argparse.Namespace) -> int:
     service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
         try:
-            print(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
+            say(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
             service.warm_up()
             if not options.no_browser:
                 webbrowser.open(server.address)
             server.serve_forever()
         except KeyboardInterrupt:
-            print("\nstopped", flush=True)
+            say("\nstopped", flush=True)
         finally:
             service.close()
     return 0

@@ -9,9 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift, out_folder
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.detectors import DEFAULT_DETECTOR
+from jaxfit.data.inputs import require_no_inputs
+from jaxfit.data.locks import held
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
 from jaxfit.data.overlays import draw_name, draw_row
 from jaxfit.data.rows import HEAD, landmark_columns, table_text
@@ -22,7 +24,7 @@ from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.shapes.camera import ANGLES
 
-_COMMAND, _OVERLAY = "jaxfit track", "overlay.webm"
+_COMMAND, _TABLE, _OVERLAY = "jaxfit track", "faces.csv", "overlay.webm"
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -57,10 +59,7 @@ def run(options: argparse.Namespace) -> int:
     model = model.unshifted() if options.unshift else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()
-    frames = faces = 0
-    people: set[int] = set()
-    with ExitStack() as stack:
-        video = stack.enter_context(Video(int(source) if camera else source))
+    with Video(int(source) if camera else source) as video:
         tracked = track(
             model,
             video,
@@ -70,8 +69,20 @@ def run(options: argparse.Namespace) -> int:
             smoothing=OneEuro() if options.smooth else None,
         )
         require_own_folder(options.out, _COMMAND)
-        folder = out_folder(options.out)
-        table = csv.writer(stack.enter_context(atomic_write(folder / "faces.csv", "w")), lineterminator="\n")
+        with held(options.out, _COMMAND):
+            return _write(options, model, video, tracked, problems)
+
+
+def _write(
+    options: argparse.Namespace, model: Model, video: Video, tracked: Iterator[TrackedFrame], problems: list[str]
+) -> int:
+    """Track, and write what was found, and the problems; 1 if there was no face at all."""
+    folder, written = Path(options.out), [_TABLE, *([_OVERLAY] if options.overlay else [])]
+    require_no_inputs([folder / name for name in (*written, MANIFEST)], [options.video, options.model])
+    frames = faces = 0
+    people: set[int] = set()
+    with ExitStack() as stack:
+        table = csv.writer(stack.enter_context(atomic_write(folder / _TABLE, "w")), lineterminator="\n")
         columns = _columns(model)
         table.writerow(["frame", "seconds", "id", *(name.removeprefix(HEAD) for name in columns)])
         film = stack.enter_context(_film(folder if options.overlay else None, video.frame_rate))
@@ -92,13 +103,12 @@ def run(options: argparse.Namespace) -> int:
     if video.problem:
         problems.append(video.problem)
     report_problems(problems)
-    print(
+    say(
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
-    written = ["faces.csv", *([_OVERLAY] if options.overlay else [])]
-    replace_results(folder, _COMMAND, written, {"model": options.model, "video": source})
+    replace_results(folder, _COMMAND, written, {"model": options.model, "video": options.video})
     written.append(MANIFEST)
-    print(f"written: {', '.join(str(folder / name) for name in written)}")
+    say(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1
 
 

@@ -16,7 +16,7 @@ from jaxfit.cli.arguments import (
     training_options,
 )
 from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
-from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.pictures import GreyPictures, Read, read_grey
 from jaxfit.evaluation.evaluate import evaluate, start_boxes
@@ -94,16 +94,16 @@ def run(options: argparse.Namespace) -> int:
         return 0
     report_problems([*found.problems, *trained.problems])
     if chosen:
-        print(choices_table(chosen))
+        say(choices_table(chosen))
     if METHODS[options.method].in_3d or options.lift:
-        print(f"3D shape model: {load_head_model(options.head_model).source}")
+        say(f"3D shape model: {load_head_model(options.head_model).source}")
     size = out.stat().st_size / 2**20
-    print(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
-    print(reached)
+    say(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
+    say(reached)
     known = model.known_placements
-    print(f"boxes it knows: {', '.join(known)}")
+    say(f"boxes it knows: {', '.join(known)}")
     if not options.no_detectors and len(known) == 1:
-        print("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
+        say("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
 
 

@@ -3,6 +3,7 @@
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.crops import Crops
 from jaxfit.data.detectors import Detection, Detector, Search, detect_faces, detector_named
+from jaxfit.data.limits import at_most_megapixels
 from jaxfit.data.overlays import draw_head, draw_landmarks, draw_row
 from jaxfit.data.pictures import find_images, read_image, write_image
 from jaxfit.data.videos import Video
@@ -13,6 +14,7 @@ __all__ = [
     "Detector",
     "Search",
     "Video",
+    "at_most_megapixels",
     "detect_faces",
     "detector_named",
     "draw_head",

@@ -1,6 +1,7 @@
 """Face boxes: arrays (4,) float64 of x, y, width, height, in pixels."""
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -9,12 +10,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from jaxfit.data.inputs import read_text
 from jaxfit.data.names import pictures_named
 from jaxfit.data.numbers import number
 from jaxfit.errors import InputError
 
 _COLUMNS = ("image", "x", "y", "width", "height")
 _ROTATION, _KIND = "rotation", "box"
+_MOST_BYTES = 1 << 30  # of a file: some ten million rows
 _SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
 
 
@@ -91,12 +94,11 @@ def read_boxes(path: str | Path) -> dict[str, list[GivenBox]]:
         InputError: the file is missing, not CSV, lacks a column, or has a cell that is not a finite number.
     """
     try:
-        with open(path, encoding="utf-8-sig", newline="") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise InputError(f"{path}, line 1: expected the columns {','.join(_COLUMNS)}; no {', '.join(missing)}")
-            return _boxes(path, reader)
+        reader = csv.DictReader(io.StringIO(read_text(path, _MOST_BYTES), newline=""))
+        missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
+        if missing:
+            raise InputError(f"{path}, line 1: expected the columns {','.join(_COLUMNS)}; no {', '.join(missing)}")
+        return _boxes(path, reader)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: expected a CSV file of face boxes in UTF-8; {error}; save it as UTF-8") from error
     except (OSError, csv.Error) as error:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 JPEG = b"\xff\xd8"
 PNG = b"\x89PNG\r\n\x1a\n"
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
-_ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
+ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
 # How other files of pictures begin; of bitmaps and Netpbm's more has to be right, as words may begin so.
 _BEGINNINGS = re.compile(
     rb"GIF8[79]a|II\*\0|MM\0\*|RIFF....WEBP|BM....\0{4}....[\x0c\x28\x34\x38\x40\x6c\x7c]\0{3}|P[1-6]\s+(#|\d+\s+\d+\s)|"
@@ -32,7 +32,7 @@ def looks_like_picture(data: bytes) -> bool:
         data: its first ``BEGINNING`` bytes, or more.
     """
     if data[4:8] == b"ftyp":
-        return data[8:12] in _ISO_PICTURES
+        return data[8:12] in ISO_PICTURES
     return data.startswith((JPEG + b"\xff", PNG)) or _BEGINNINGS.match(data) is not None
 
 
@@ -57,7 +57,7 @@ def stored_size(data: bytes) -> tuple[int, int] | None:
         if data.startswith(b"BM"):
             return _bmp_size(data)
         if is_heic(data):
-            return _heic_size(data)
+            return largest_item(data)
     except struct.error:  # the header is cut off
         pass
     return None
@@ -68,7 +68,8 @@ def exif_orientation(data: bytes) -> int:
     all else."""
     try:
         for exif in _exif(data):
-            return _orientation(exif)
+            if exif[:4] in _ORDERS:  # an empty one may come before
+                return _orientation(exif)
     except struct.error:  # cut off
         pass
     return 1
@@ -101,9 +102,7 @@ def _exif(data: bytes) -> Iterator[bytes]:
 
 
 def _orientation(exif: bytes) -> int:
-    order = _ORDERS.get(exif[:4])
-    if order is None:
-        return 1
+    order = _ORDERS[exif[:4]]
     (first,) = struct.unpack_from(f"{order}I", exif, 4)
     (count,) = struct.unpack_from(f"{order}H", exif, first)
     for number in range(count):
@@ -155,7 +154,7 @@ def _bmp_size(data: bytes) -> tuple[int, int]:
     return abs(width), abs(height)  # negative heights: the first row is the upper one
 
 
-def _heic_size(data: bytes) -> tuple[int, int] | None:
-    """Of the largest of the pictures in the file, which are tiles, thumbnails and the whole."""
+def largest_item(data: bytes) -> tuple[int, int] | None:
+    """Width and height of the largest of the pictures in a HEIC or AVIF file: tiles, thumbnails and the whole."""
     sizes = [struct.unpack_from(">II", data, found.end() + 4) for found in re.finditer(b"ispe", data)]
     return max(sizes, key=lambda size: size[0] * size[1], default=None)

@@ -16,6 +16,7 @@ from jaxfit.errors import InputError
 # Bytes that are not UTF-8 (Python has surrogates for them), control characters, and what some programs take for line
 # ends. Where a backslash is no separator it is doubled, so that no two names are spelled the same.
 _ODD = re.compile("[\ud800-\udfff\x00-\x1f\x7f-\x9f\u2028\u2029]" + (r"|\\" if os.sep == "/" else ""))
+_CONTROL = re.compile("[\ud800-\udfff\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 # What spreadsheets begin a formula with: a table that is opened there must not run what a file is called. A space or a
 # quote before it, the usual cure, would change the name; the cures here do not: "./=1.jpg" is the path of "=1.jpg".
 _FORMULA = ("=", "+", "-", "@")
@@ -31,6 +32,14 @@ def plain(name: str) -> str:
     backslash of a system where it does not separate folders ``\\``.
     """
     return _ODD.sub(_escape, name)
+
+
+def printable(text: str) -> str:
+    r"""A message as terminals may have it: control characters become ``\x1b``, but for line ends.
+
+    What files are called would otherwise move the cursor, recolour the screen, or type for the user.
+    """
+    return _CONTROL.sub(_escape, text)
 
 
 def _escape(found: re.Match[str]) -> str:
@@ -65,12 +74,13 @@ def unique_names(pictures: Iterable[PurePath]) -> Iterator[str]:
     only.
     """
     taken: set[str] = set()
-    numbers: dict[str, int] = {}
+    numbers: dict[str, int] = {}  # by what does not differ in case: "A", "a" and "A" again count on, in linear time
     for picture in pictures:
         stem = name = _portable(picture.stem)
+        same = stem.casefold()
         while name.casefold() in taken:
-            numbers[stem] = numbers.get(stem, 1) + 1
-            name = f"{stem}-{numbers[stem]}"
+            numbers[same] = numbers.get(same, 1) + 1
+            name = f"{stem}-{numbers[same]}"
         taken.add(name.casefold())
         yield name
 
@@ -79,6 +89,38 @@ def _portable(stem: str) -> str:
     name = _UNPORTABLE.sub("_", stem)
     name = f"_{name}" if name.startswith(_FORMULA) else name
     return name.encode()[:_LONGEST].decode(errors="ignore")
+
+
+class PathsByEnd:
+    """Paths by how they end, in time that does not grow with how many end alike.
+
+    Args:
+        paths: absolute, with this system's separators.
+    """
+
+    def __init__(self, paths: Iterable[str]):
+        self._parts = [(path, path.split(os.sep)) for path in paths]
+        self._deepest = max((len(parts) for _, parts in self._parts), default=0)
+        self._by_end: dict[int, dict[str, list[str]]] = {}  # by how many parts an end has
+
+    def ending(self, end: str) -> list[str]:
+        """Those that end with this relative path."""
+        count = end.count(os.sep) + 1
+        if count >= self._deepest or os.path.isabs(end):
+            return []
+        if count not in self._by_end:
+            ends = self._by_end[count] = {}
+            for path, parts in self._parts:
+                ends.setdefault(os.sep.join(parts[-count:]), []).append(path)
+        return self._by_end[count].get(end, [])
+
+    def sharing(self, path: str) -> list[str]:
+        """Those that share the most parts at their ends with a path, the last one at least."""
+        parts = path.split(os.sep)
+        for count in range(min(len(parts), self._deepest - 1), 0, -1):
+            if found := self.ending(os.sep.join(parts[-count:])):
+                return found
+        return []
 
 
 def pictures_named(
@@ -100,19 +142,15 @@ def pictures_named(
         InputError: a name may mean several pictures.
     """
     places: dict[str, list[Path]] = {}
-    by_name: dict[str, list[str]] = {}
-    # As they are composed: what a system has decomposed, as macOS does, is the same name.
-    composed: dict[str, list[str]] = {}
-    composed_names: dict[str, list[str]] = {}
     real = cache(os.path.realpath)  # without links to folders; a link to a picture is a picture of its own
     for picture in dict.fromkeys(pictures):
-        name = plain(picture.name)
-        place = os.path.join(plain(real(picture.parent)), name)
-        if place not in places:
-            by_name.setdefault(name, []).append(place)
-            composed.setdefault(_composed(place), []).append(place)
-            composed_names.setdefault(_composed(name), []).append(place)
+        place = os.path.join(plain(real(picture.parent)), plain(picture.name))
         places.setdefault(place, []).append(picture)
+    # As they are composed: what a system has decomposed, as macOS does, is the same name.
+    composed: dict[str, list[str]] = {}
+    for place in places:
+        composed.setdefault(_composed(place), []).append(place)
+    by_end, composed_by_end = PathsByEnd(places), PathsByEnd(composed)
     bases = [plain(real(base)) for base in dict.fromkeys([*map(str, folders), "."])]
     found = {}
     for name in dict.fromkeys(names):
@@ -122,13 +160,9 @@ def pictures_named(
             there = {os.path.join(real(os.path.join(base, folder)), file) for base in bases}
             meant = (
                 there.intersection(places)
-                or {place for place in by_name.get(file, ()) if place.endswith(os.sep + path)}
+                or {*by_end.ending(path)}
                 or {place for each in there for place in composed.get(_composed(each), ())}
-                or {
-                    place
-                    for place in composed_names.get(_composed(file), ())
-                    if _composed(place).endswith(_composed(os.sep + path))
-                }
+                or {place for each in composed_by_end.ending(_composed(path)) for place in composed[each]}
             )
             if len(meant) > 1:
                 some = [str(places[place][0]) for place in sorted(meant)][:2]

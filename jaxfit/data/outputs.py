@@ -7,7 +7,9 @@ import codecs
 import csv
 import json
 import os
+import re
 import secrets
+import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
@@ -20,6 +22,8 @@ from jaxfit.errors import InputError
 
 MANIFEST = "manifest.json"  # of a folder of results: what a run wrote, which command it was, and when
 _SPELLED = "jaxfit.spelled"
+# What files are called until they are whole, and folders until they are gone.
+_HIDDEN = re.compile(r"\.[0-9a-f]{16}\.tmp(\.\w+)?")
 
 
 def _spelled(error: UnicodeError) -> tuple[str, int]:
@@ -45,6 +49,16 @@ def require_own_folder(folder: str | Path, command: str) -> None:
         )
 
 
+def results_in(folder: str | Path) -> list[str]:
+    """The files of a folder of results that its manifest lists, by their paths in it; none if there is no manifest, or
+    a damaged one. Paths out of the folder, of whoever wrote the manifest, are left out."""
+    try:
+        listed = (_manifest(Path(folder)) or {"files": []})["files"]
+    except InputError:
+        return []
+    return [name for name in listed if ".." not in Path(name).parts and not Path(name).is_absolute()]
+
+
 def replace_results(
     folder: str | Path, command: str, written: Iterable[str], settings: dict[str, Any], others: Iterable[str] = ()
 ) -> None:
@@ -60,16 +74,12 @@ def replace_results(
         others: files that are removed as well, unless this run wrote them.
     """
     folder, files = Path(folder), sorted({*written})
-    before: list[str] = []
-    with suppress(InputError):  # a damaged manifest is replaced
-        before = (_manifest(folder) or {"files": []})["files"]
-    for name in sorted({*before, *others} - {*files}):
+    for name in sorted({*results_in(folder), *others} - {*files}):
         path = folder / name
-        if ".." not in Path(name).parts and not Path(name).is_absolute():  # whoever wrote the manifest
-            path.unlink(missing_ok=True)
-            if path.parent != folder:
-                with suppress(OSError):  # others' files are in it
-                    path.parent.rmdir()
+        path.unlink(missing_ok=True)
+        if path.parent != folder:
+            with suppress(OSError):  # others' files are in it
+                path.parent.rmdir()
     account = {
         "command": command,
         "jaxfit": jaxfit.__version__,
@@ -91,7 +101,7 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
         if not (isinstance(found["command"], str) and all(isinstance(name, str) for name in found["files"])):
             raise ValueError("a command and files that are no text")
         return {"when": "unknown time"} | found
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{path}: expected the manifest of a folder of jaxfit's results ({error}); use another --out, or remove it"
         ) from None
@@ -108,7 +118,14 @@ def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:
     if not path.exists():
         with atomic_write(path, "w") as file:
             json.dump(settings, file, indent=2)
-    elif (before := json.loads(path.read_text(encoding="utf-8"))) != settings:
+        return
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(before, dict):
+            raise ValueError("no table")
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected the settings of a run, as JSON ({error}); use another --out") from None
+    if before != settings:
         changed = "; ".join(_differences(before, settings))
         raise InputError(f"{path.parent} holds results of other settings ({changed}); use another --out")
 
@@ -130,6 +147,43 @@ def not_written(path: str | Path, error: Exception) -> str:
     return f"cannot write {path}: {reason}" if reason else str(error)
 
 
+def discard(folder: str | Path) -> None:
+    """Remove a folder with all that is in it; it is gone from under its name at once, whole, whatever happens then."""
+    folder = Path(folder)
+    hidden = _hidden(folder.parent)
+    with suppress(FileNotFoundError):
+        os.rename(folder, hidden)
+        shutil.rmtree(hidden, ignore_errors=True)  # what stays is swept
+
+
+def sweep(folder: str | Path) -> None:
+    """Remove what writing left in a folder, and in the folders in it, when a process was killed: only the one process
+    that may write there knows that nobody is at work on it."""
+    with os.scandir(folder) as entries:
+        found = [entry for entry in entries if not entry.is_symlink()]
+    for entry in found:
+        hidden = _HIDDEN.fullmatch(entry.name)
+        if entry.is_dir():
+            if hidden:
+                shutil.rmtree(entry.path, ignore_errors=True)
+            else:
+                _sweep_files(entry.path)
+        elif hidden:
+            os.unlink(entry.path)
+
+
+def _sweep_files(folder: str) -> None:
+    with suppress(PermissionError), os.scandir(folder) as entries:  # a folder of others, who closed it
+        for entry in entries:
+            if _HIDDEN.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
+                os.unlink(entry.path)
+
+
+def _hidden(folder: Path, suffix: str = "") -> Path:
+    """A new name in a folder, of what is not whole yet, or no longer."""
+    return folder / f".{secrets.token_hex(8)}.tmp{suffix}"
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """The name of a file to write that becomes ``path`` when the block ends, and vanishes when the block raises.
@@ -146,7 +200,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         raise InputError(f"cannot write {path}: it exists and is not a regular file; name a file instead")
     # In the same folder, because a file can only be renamed atomically within one file system.
-    temporary = path.parent / f".{secrets.token_hex(8)}.tmp{path.suffix}"
+    temporary = _hidden(path.parent, path.suffix)
     try:
         yield temporary
         os.replace(temporary, path)

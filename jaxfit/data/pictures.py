@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
+from functools import partial
 from glob import escape, glob
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,8 +14,13 @@ import cv2
 import jax
 import numpy as np
 
+from jaxfit.data.damage import damage_of
 from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
+from jaxfit.data.inputs import open_regular, read_regular
+from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.outputs import atomic_write
+from jaxfit.data.sizes import decoded_size, is_deep, scans_of
+from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp")
@@ -38,6 +44,8 @@ Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures 
 NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
+_ROWS = 1024  # of a picture that are converted at a time
+_QUICK = 8_000_000  # pixels, times scans, that take well under two seconds in any format
 _LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 
 
@@ -92,8 +100,7 @@ def _data(path: str | Path | bytes) -> bytes:
     if isinstance(path, bytes):
         return path
     try:
-        with open(path, "rb", buffering=0) as file:  # each call less is a wait less for Python's lock
-            return file.read()
+        return read_regular(path, most_picture_bytes())
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
         why = _listing_problem(path) if isinstance(error, IsADirectoryError) else None
         raise ImageError(f"{path}: cannot be read ({why or getattr(error, 'strerror', None) or error})") from error
@@ -105,18 +112,48 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         raise ImageError(f"{source}: {complaint}")
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
+    size, scans = decoded_size(data), scans_of(data)
+    width, height = size or (0, 0)
+    if complaint := size_problem(width, height, scans):
+        raise ImageError(f"{source}: {complaint}")
+    count_picture(width * height)
     if is_heic(data):
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
-    flags = flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
-        with quiet():
-            picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error as error:
-        raise ImageError(f"{source}: cannot be decoded ({error.err or error})") from error
+    decode = partial(_by_opencv, source, data, long=width * height * scans > _QUICK)
+    # Without a size it may be whatever it is: nobody knows how much would come of it.
+    picture = None if size is None else decode(flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is None:
         raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
-    return picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+    if is_deep(data) and picture.max() < _LEAST_OF_SIXTEEN >> 8:
+        grey = decode(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+        if grey is not None and (largest := int(grey.max())):
+            raise ImageError(
+                f"{source}: expected values up to 65535 in a picture of 16 bits, of which the upper 8 are kept; its "
+                f"largest value is {largest}: scale it, or save it with 8 bits"
+            )
+    if picture.ndim == 3:
+        for first in range(0, len(picture), _ROWS):  # OpenCV copies what it converts in place
+            rows = picture[first : first + _ROWS]
+            cv2.cvtColor(rows, cv2.COLOR_BGR2RGB, rows)
+    return picture
+
+
+def _by_opencv(source: str | Path, data: bytes, flags: int, *, long: bool) -> np.ndarray | None:
+    """What OpenCV makes of a picture, which may take long; None if it makes nothing of it.
+
+    Raises:
+        ImageError: it says that the picture is damaged.
+    """
+    decode = partial(cv2.imdecode, np.frombuffer(data, np.uint8), flags)
+    try:
+        with quiet():
+            picture, damage = interruptible(partial(damage_of, decode)) if long else damage_of(decode)
+    except cv2.error as error:
+        raise ImageError(f"{source}: cannot be decoded ({error.err or error})") from error
+    if damage:
+        raise ImageError(f"{source}: damaged ({damage}); copy or download it again")
+    return picture
 
 
 def require_heif() -> None:
@@ -405,12 +442,12 @@ def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
 
 def _is_picture(path: Path) -> bool:
     """Whether a file of a folder is a picture, or should be one: its name says so, or how it begins."""
-    if not os.path.isfile(path):  # links to nothing, and what may not be looked at, are reported; devices are not read
-        return path.suffix.lower() in READABLE_SUFFIXES and not os.path.exists(path)
-    if path.suffix.lower() in READABLE_SUFFIXES:
+    if path.suffix.lower() in READABLE_SUFFIXES:  # whatever it is: links to nothing, and to devices, are reported
         return True
+    if not os.path.isfile(path):  # a look at a pipe would take what is in it, or wait for ever
+        return False
     try:
-        with open(path, "rb", buffering=0) as file:
+        with open_regular(path) as file:
             return looks_like_picture(file.read(BEGINNING))
     except OSError:
         return path.suffix.lower() in _RAW_SUFFIXES

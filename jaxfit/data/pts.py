@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.inputs import read_text
 from jaxfit.data.numbers import number
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import DatasetError, InputError
+
+_MOST_BYTES = 1 << 20
 
 
 def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
@@ -28,7 +31,7 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
     """
     check_base(base)
     try:
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, _MOST_BYTES).splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: cannot be read as text ({_reason(error)})") from error
     declared, points = None, []

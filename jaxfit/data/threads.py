@@ -1,11 +1,13 @@
 """Work done in threads, few pieces at a time, with results in the order of the work."""
 
 import os
+import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from itertools import chain, islice
 from typing import TypeVar
 
@@ -30,13 +32,39 @@ def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None
     waiting: deque[Future[T]] = deque()
     try:
         for piece in chain(first, pieces):
-            waiting.append(pool.submit(piece))
+            waiting.append(pool.submit(copy_context().run, piece))
             if len(waiting) > threads:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
     finally:
-        pool.shutdown(cancel_futures=True)
+        # Whoever presses Ctrl-C does not wait for a large picture to be decoded.
+        pool.shutdown(wait=not _interrupted(), cancel_futures=True)
+
+
+def interruptible(work: Callable[[], T]) -> T:
+    """What ``work`` gives, which is done in a thread where the caller is the main thread: code that is not Python's
+    does not hear of Ctrl-C before it is done, and is left behind."""
+    if threading.current_thread() is not threading.main_thread():
+        return work()
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(work())
+        except BaseException as error:
+            done.set_exception(error)
+
+    threading.Thread(target=copy_context().run, args=(run,), daemon=True).start()
+    return done.result()
+
+
+def _interrupted() -> bool:
+    """Whether the work ends because of Ctrl-C: it may be what closes the generator."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def reading_threads(count: int) -> int:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from jaxfit.data.containers import is_cut
+from jaxfit.data.limits import size_problem
 from jaxfit.data.outputs import atomic_path
 from jaxfit.data.pictures import Pixels, quiet, to_eight_bits
 from jaxfit.errors import ImageError, InputError
@@ -66,7 +67,12 @@ class Video:
         with _quiet_codecs():
             self._capture = cv2.VideoCapture(source if isinstance(source, int) else str(source))
             self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
-            self._next = self._capture.read()[1] if self._capture.isOpened() else None
+            size = (self._capture.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+            too_large = size_problem(*map(int, size)) if self._capture.isOpened() else None
+            self._next = self._capture.read()[1] if self._capture.isOpened() and too_large is None else None
+        if too_large is not None:
+            self.close()
+            raise InputError(f"{self.name}: {too_large}")
         if self._next is None:
             self.close()
             raise InputError(

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxfit.cascade.starts import Starts
+from jaxfit.data.inputs import read_regular
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
@@ -21,6 +22,7 @@ from jaxfit.learning.methods import METHODS, Options, default_descriptor
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.normalisers import NORMALISERS
 
+_MOST_BYTES = 100_000  # of a configuration: reading one of megabytes may take hours
 _PLAIN = ("augmentations", "initialisations", "folds", "repetitions", "timed_faces", "normaliser", "seed")
 # Options of training that an experiment sets itself, or does not need, as it measures no boxes of detectors.
 _NOT_OPTIONS = {"augmentations", "starts", "detectors", "seed"}
@@ -184,15 +186,17 @@ def read_config(path: str | Path) -> Config:
     """
     path = Path(path)
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(read_regular(path, _MOST_BYTES).decode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a configuration in TOML") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: is not TOML: {error}") from None
     try:
         return config_from(values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    except RecursionError:
+        raise InputError(f"{path}: its tables lie too deep in one another") from None
 
 
 def config_from(values: Mapping[str, Any]) -> Config:

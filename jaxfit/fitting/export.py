@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,10 +18,20 @@ from safetensors.numpy import load as parse_tensors
 
 from jaxfit.cascade.fit import find
 from jaxfit.cascade.starts import Starts
+from jaxfit.data.inputs import read_regular
 from jaxfit.errors import InputError, ModelError
 from jaxfit.fitting.stream import BATCHES
 from jaxfit.image.frame import Frame
-from jaxfit.models.files import DAMAGE, check_target, read_header, read_usage, tensors_of, usage_of, write_tensors
+from jaxfit.models.files import (
+    DAMAGE,
+    MOST_BYTES,
+    check_target,
+    read_header,
+    read_usage,
+    tensors_of,
+    usage_of,
+    write_tensors,
+)
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement
 from jaxfit.modes import computing
@@ -31,6 +42,10 @@ EXPORT_FORMAT = 1
 PLATFORMS = ("cpu", "cuda")
 
 _KEY = "jaxfit-export"
+# What programs may call outside themselves: those of 3D alignment solve linear systems, on CPUs and GPUs; others call
+# nothing.
+_CUSTOM_CALL = re.compile(r"custom_call[^@\n]*?@\"?([^\s\"(]+)")
+_KNOWN_CALLS = frozenset(["lapack_sgetrf_ffi", "lapack_strsm_ffi", "cusolver_getrf_ffi", "cu_lu_pivots_to_permutation"])
 _LOCATIONS = "jax_traceback_in_locations_limit"
 _FLATBUFFERS = 'exported models need flatbuffers, which JAX stores programs with: pip install "jaxfit[export]"'
 _UNITS = {
@@ -148,7 +163,7 @@ def load_exported(path: str | Path) -> Exported:
         InputError: flatbuffers is not installed.
     """
     try:
-        data = Path(path).read_bytes()
+        data = read_regular(path, MOST_BYTES)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or error
         raise ModelError(f"no exported model {str(path)!r}: expected the path of a file ({why})") from None
@@ -226,18 +241,25 @@ def _deserialized(data: np.ndarray, header: dict[str, Any]) -> export.Exported:
     """The program in an undamaged file.
 
     Raises:
-        ModelError: this version of JAX does not read it.
+        ModelError: this version of JAX does not read it, or it calls other code than ours does.
     """
     oldest = export.minimum_supported_calling_convention_version
     newest = export.maximum_supported_calling_convention_version
     why = f"calling convention {header['calling_convention']}, expected {oldest} to {newest}"
+    code = None
     if oldest <= header["calling_convention"] <= newest:
         try:
             program = export.deserialize(bytearray(data))
-            program.mlir_module()  # which calls would read, and find too new or too old
-            return program
+            code = program.mlir_module()  # which calls would read, and find too new or too old
         except (RuntimeError, *DAMAGE) as error:
             why = str(error)
+    if code is not None:
+        if unknown := sorted({*_CUSTOM_CALL.findall(code)} - _KNOWN_CALLS):
+            raise ModelError(
+                f"its programs call {', '.join(unknown)}: code of this machine that jaxfit's programs do not call; "
+                "do not run it"
+            )
+        return program
     raise ModelError(
         f"exported by JAX {header['jax']}, which JAX {jax.__version__} does not read ({why}); "
         "use that version, or export the model again"

@@ -28,6 +28,7 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crop, Crops, cut_face
 from jaxfit.data.detectors import Detector
+from jaxfit.data.limits import counted_together
 from jaxfit.data.pictures import Image, Read, pixels, read_grey, read_image, to_eight_bits, to_grey
 from jaxfit.data.threads import cores, in_order, reading_threads
 from jaxfit.errors import ImageError, InputError
@@ -90,6 +91,8 @@ class Pipeline:
     read: Read | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.model, Model):
+            raise InputError(f"expected a model, as jaxfit.load gives it; got {self.model!r:.60}")
         if self.passes < 1:
             raise InputError(f"expected at least one pass of the cascade; got {self.passes}")
         for kind in () if self.detector is None else self.detector.kinds:
@@ -268,11 +271,12 @@ def see(source: Source, detector: Detector | None, read: Read | None) -> Seen:
 
 def _look(pipeline: Pipeline, source: Source) -> _Looked:
     """Read a picture, find its faces unless they are known, and cut them."""
-    picture, boxes, kinds, rotations, why = see(source, pipeline.detector, pipeline.read)
-    if picture is None:
-        return _Looked((0, 0), boxes, kinds, rotations, [why] * len(boxes), why)
-    grey = to_grey(picture)
-    faces = [_cut(pipeline.model, grey, *face) for face in zip(boxes, kinds, rotations, strict=True)]
+    with counted_together():
+        picture, boxes, kinds, rotations, why = see(source, pipeline.detector, pipeline.read)
+        if picture is None:
+            return _Looked((0, 0), boxes, kinds, rotations, [why] * len(boxes), why)
+        grey = to_grey(picture)
+        faces = [_cut(pipeline.model, grey, *face) for face in zip(boxes, kinds, rotations, strict=True)]
     return _Looked((picture.shape[1], picture.shape[0]), boxes, kinds, rotations, faces, why)
 
 

@@ -6,12 +6,14 @@ from typing import Literal
 
 import numpy as np
 
+from jaxfit.data.inputs import read_regular, read_text
 from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.heads.mesh_points import MeshPoints
 
 # Assumed, as in ICT-FaceKit: x to the subject's left, which is the picture's right, y up and z to the viewer.
 _AXES = np.array([1.0, -1.0, -1.0])
+_MOST_BYTES = 1 << 28  # of a mesh, or of all meshes of a person
 _POSES = 20
 
 
@@ -64,7 +66,7 @@ def _testers(folder: Path) -> list[Path]:
 def _read_obj(file: Path) -> np.ndarray:
     """The vertices (1, V, 3) of a Wavefront file."""
     try:
-        lines = file.read_text(encoding="utf-8").splitlines()
+        lines = read_text(file, _MOST_BYTES).splitlines()
         vertices = np.array([[number(word) for word in line.split()[1:4]] for line in lines if line[:2] == "v "])
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file}: expected a mesh of lines 'v x y z'; {error}") from error
@@ -74,7 +76,7 @@ def _read_obj(file: Path) -> np.ndarray:
 def _read_shapes(file: Path) -> np.ndarray:
     """The vertices (S, V, 3) of a ``shape.bs``: the counts of meshes but one, vertices and faces; then all vertices."""
     try:
-        data = file.read_bytes()
+        data = read_regular(file, _MOST_BYTES)
     except OSError as error:
         raise DatasetError(f"{file}: expected FaceWarehouse's blendshapes; {error}") from error
     if len(data) < 12:

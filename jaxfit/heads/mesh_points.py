@@ -9,7 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from jaxfit.data.inputs import read_text
 from jaxfit.errors import DatasetError, InputError
+
+_MOST_BYTES = 1 << 26
 
 # One point: (vertex, weight) pairs, sorted by vertex.
 _Point = tuple[tuple[int, float], ...]
@@ -55,7 +58,7 @@ def read_mesh_points(path: str | Path) -> dict[str, MeshPoints]:
         DatasetError: the file is missing or not such a file: the message names the point and what is wrong with it.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json.loads(read_text(path, _MOST_BYTES))
     except (OSError, ValueError, RecursionError) as error:
         raise DatasetError(f"{path}: expected a JSON file of mesh points; {error}") from error
     if not isinstance(content, dict) or not content:

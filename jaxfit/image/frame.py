@@ -23,6 +23,8 @@ class Frame:
     shift: float = 0.0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.crop, int) or isinstance(self.crop, bool):
+            raise InputError(f"expected a whole number of pixels for the side of a crop; got {self.crop!r}")
         if not abs(self.shift) <= _MOST_SHIFT:
             raise InputError(f"expected labels that are off by up to {_MOST_SHIFT} pixels; got a shift of {self.shift}")
         if not (8 <= self.face <= self.crop <= 4096):

@@ -3,11 +3,11 @@
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.names import PathsByEnd
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import PoseOrder
@@ -94,15 +94,11 @@ def copies_of(tested: Iterable[Path], pictures: Iterable[Path]) -> dict[Path, Pa
     tested, pictures = dict.fromkeys(tested), dict.fromkeys(pictures)
     real = {picture: picture.parent.resolve() / picture.name for picture in (*tested, *pictures)}
     places = {real[picture]: picture for picture in pictures}
-    of_name: dict[str, list[Path]] = {}
-    for place in places:
-        of_name.setdefault(place.name, []).append(place)
+    by_end = PathsByEnd(map(str, places))
     copies: dict[Path, Path] = {}
     for picture in tested:
         place = real[picture]
-        candidates = [place] if place in places else of_name.get(place.name, [])
-        shared = [_shared_end(place, candidate) for candidate in candidates]
-        best = [candidate for candidate, count in zip(candidates, shared, strict=True) if count == max(shared)]
+        best = [place] if place in places else list(map(Path, by_end.sharing(str(place))))
         if len(best) > 1:
             raise InputError(
                 f"{picture} is tested, and may be {best[0]} or {best[1]}, which have its name: expected one picture of "
@@ -110,9 +106,3 @@ def copies_of(tested: Iterable[Path], pictures: Iterable[Path]) -> dict[Path, Pa
             )
         copies |= {places[candidate]: picture for candidate in best}
     return copies
-
-
-def _shared_end(one: Path, other: Path) -> int:
-    """How many parts two paths share at their ends."""
-    pairs = zip(reversed(one.parts), reversed(other.parts), strict=False)
-    return sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))

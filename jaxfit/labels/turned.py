@@ -10,13 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import JPEG, exif_orientation
+from jaxfit.data.headers import exif_orientation
+from jaxfit.data.inputs import read_regular
+from jaxfit.data.limits import most_picture_bytes
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.scheme import Scheme
 
-_HEAD = 1 << 16  # bytes of a JPEG picture that say how it is turned; its EXIF data are no longer
 _MIRRORED, _SIDEWAYS = (2, 4, 5, 7), (5, 6, 7, 8)
 _NAMED = 3  # pictures that a notice names
 
@@ -26,9 +27,7 @@ def turned_pictures(pictures: Iterable[Path]) -> dict[Path, int]:
     turned = {}
     for picture in dict.fromkeys(pictures):
         try:
-            with picture.open("rb") as file:
-                head = file.read(_HEAD)
-                orientation = exif_orientation(head if head.startswith(JPEG) else head + file.read())
+            orientation = exif_orientation(read_regular(picture, most_picture_bytes()))
         except (OSError, ValueError):  # whoever needs the picture says so
             continue
         if orientation != 1:

@@ -15,6 +15,7 @@ from safetensors.numpy import save as pack_tensors
 
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade
+from jaxfit.data.inputs import read_regular
 from jaxfit.data.outputs import atomic_write
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.errors import InputError, JaxfitError, ModelError
@@ -34,6 +35,8 @@ DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
 _LEARNED = "learned"  # digests, optional, and no parameters
+MOST_BYTES = 1 << 30  # of a file; bundled ones have ten million
+_MOST_PLACEMENT = 10.0  # sides of a box, and logarithms: those that were measured are below 1
 # What parsing may raise whatever the bytes.
 DAMAGE = (
     SafetensorError,
@@ -168,7 +171,7 @@ def read_named(name: str | Path, package: str, kind: str) -> bytes:
     if str(name) in names:
         return (resources.files(package) / "bundled" / f"{name}{SUFFIX}").read_bytes()
     try:
-        return Path(name).read_bytes()
+        return read_regular(name, MOST_BYTES)
     except (OSError, ValueError) as error:
         raise ModelError(
             f"no {kind} {str(name)!r}: expected one of the bundled {kind}s ({', '.join(names) or 'none'}) or "
@@ -303,6 +306,13 @@ def _placement(values: dict[str, Any]) -> Placement:
     spread = placement.spread
     if not np.isfinite([*placement.shift, placement.log_scale, *spread.shift, spread.log_scale, spread.rotation]).all():
         raise ModelError("damaged: a placement has values that are not finite numbers")
+    largest = max(map(abs, (*placement.shift, placement.log_scale)))
+    if largest > _MOST_PLACEMENT or not all(
+        0 <= value <= _MOST_PLACEMENT for value in (*spread.shift, spread.log_scale, spread.rotation)
+    ):
+        raise ModelError(
+            f"damaged: a placement lies over {_MOST_PLACEMENT:g} sides from its box, or is as much larger, or spread"
+        )
     return placement
 
 

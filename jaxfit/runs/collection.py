@@ -1,6 +1,7 @@
 """Fitting a collection of pictures with Ray Data: Parquet parts, whole or not at all, and a manifest of pictures."""
 
 import hashlib
+import json
 import logging
 import os
 import sys
@@ -13,15 +14,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
+from jaxfit.data.inputs import require_no_inputs, state_of
+from jaxfit.data.locks import held
 from jaxfit.data.names import table_path
-from jaxfit.data.outputs import atomic_write, replace_results, require_own_folder, require_same_settings
+from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.fitting.stream import NO_FACE
-from jaxfit.models.files import BUNDLED, bundled, read_named
+from jaxfit.models.files import bundled
+from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.runs.workers import BatchFitter
 
 _COMMAND = "jaxfit collect"
+_STATES = "jaxfit pictures"  # metadata of a part: what its pictures were like
 _TRIES = 3  # of a part whose worker dies each time: one of its pictures may be what kills it
 # Whatever its name says: unless it is 0, Ray listens on all of a Linux machine's addresses.
 _CLUSTER = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
@@ -43,7 +48,7 @@ def fit_collection(
     ``out/manifest.parquet`` a row a picture: ``image``, its ``outcome``, the number of ``faces`` that were fitted, and
     the ``part`` that it is in. Each picture is in one part: parts are named after their pictures and are there whole or
     not at all, so that what a worker was at when it died is begun again by another, and a run that was stopped, started
-    again, fits only pictures that are in no part. One run at a time may write to ``out``.
+    again, fits only pictures that are in no part, or have changed since. One run at a time writes to ``out``.
 
     Ray is started on this machine, where it listens on the loopback device and reports no usage, and ended afterwards;
     unless it runs already, as after ``ray.init("auto")`` on a cluster, whose machines then have to see the pictures,
@@ -64,8 +69,8 @@ def fit_collection(
         run is started once more.
 
     Raises:
-        InputError: Ray is not installed, or imported but not started, ``out`` holds results of other settings, or an
-            argument is out of range.
+        InputError: Ray is not installed, or imported but not started, ``out`` holds results of other settings or is
+            being written by another run, a file that was given would be written over, or an argument is out of range.
         JaxfitError: what stopped a worker, such as a model that does not know the detector's boxes or a full disk.
     """
     fitter = fitter or BatchFitter()
@@ -77,13 +82,34 @@ def fit_collection(
     if str(fitter.model) not in bundled():
         fitter = replace(fitter, model=os.path.abspath(fitter.model))
     out = Path(out).absolute()
+    with held(out, _COMMAND):
+        return _fit_held(wanted, out, fitter, workers=workers, gpus=gpus, part=part, progress=progress)
+
+
+def _fit_held(
+    wanted: Sequence[str],
+    out: Path,
+    fitter: BatchFitter,
+    *,
+    workers: int | None,
+    gpus: float,
+    part: int,
+    progress: Callable[[str, int, int], None],
+) -> dict[str, int]:
+    """What `fit_collection` does, in a folder that no other run writes to."""
     require_own_folder(out, _COMMAND)
     parts = out / "parts"
-    parts.mkdir(parents=True, exist_ok=True)
+    parts.mkdir(exist_ok=True)
+    written = ["settings.json", "manifest.parquet"]  # and the parts
+    require_no_inputs(
+        [*(out / name for name in (*written, MANIFEST)), *parts.iterdir()],
+        [*wanted, *run_files(fitter.model, fitter.detector).values()],
+    )
     settings = _settings(fitter)
     require_same_settings(out / "settings.json", settings)
-    replace_results(out, _COMMAND, ["settings.json", "manifest.parquet"], settings)  # and the parts
+    replace_results(out, _COMMAND, written, settings)
     _sweep(parts)
+    _drop_changed(parts, wanted)
     known = {account.image for account in _accounts(parts)}
     left = [name for name in wanted if table_path(name) not in known]
     if left:
@@ -115,13 +141,12 @@ def _require_ray() -> None:
 
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
-    digest = hashlib.sha256(read_named(fitter.model, BUNDLED, "model")).hexdigest()[:16]
     settings = {name: value for name, value in vars(fitter).items() if name != "cores"}
     settings |= {
         "starts": vars(fitter.starts),
         "search": vars(fitter.search),
         "model": str(fitter.model),
-        "model file": digest,
+        **file_digests(fitter.model, run_files(fitter.model, fitter.detector)),
     }
     return {"jaxfit": jaxfit.__version__, **settings}
 
@@ -196,9 +221,33 @@ def _write_part(path: Path, fitter: BatchFitter, pictures: Sequence[str]) -> Non
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table(fitter({"image": pictures}))
+    states = {picture: state_of([picture]) for picture in pictures}  # before they are read: they may change
+    table = pa.table(fitter({"image": pictures})).replace_schema_metadata({_STATES: json.dumps(states)})
     with atomic_write(path) as file:
         pq.write_table(table, file)
+
+
+def _drop_changed(parts: Path, wanted: Sequence[str]) -> None:
+    """Take the rows of pictures that have changed since out of their parts, so that they are fitted anew."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    pictures = {*wanted}
+    for path in parts.glob("[!.]*.parquet"):
+        with pq.ParquetFile(path) as file:
+            states = json.loads((file.schema_arrow.metadata or {}).get(_STATES.encode(), "{}"))
+            changed = [name for name, state in states.items() if name in pictures and state_of([name]) != state]
+            if not changed:
+                continue
+            table = file.read()
+        kept = table.filter(pc.invert(pc.is_in(table["image"], pa.array(list(map(table_path, changed))))))
+        if not kept.num_rows:
+            path.unlink()
+            continue
+        left = {name: state for name, state in states.items() if name not in {*changed}}
+        with atomic_write(path) as target:
+            pq.write_table(kept.replace_schema_metadata({_STATES: json.dumps(left)}), target)
 
 
 def _sweep(parts: Path) -> None:

@@ -1,12 +1,10 @@
 """Fitting a folder of pictures, however many, into tables, overlays and other formats; a stopped run goes on."""
 
 import hashlib
-import json
 import os
-import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain, starmap
@@ -20,21 +18,22 @@ from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
+from jaxfit.data.inputs import require_no_inputs, same_files
+from jaxfit.data.limits import counted_together, most_megapixels
+from jaxfit.data.locks import held
 from jaxfit.data.names import plain, table_path, unique_names
 from jaxfit.data.outputs import (
     MANIFEST,
-    atomic_write,
     not_written,
     replace_results,
     require_own_folder,
-    require_same_settings,
     write_csv,
 )
 from jaxfit.data.overlays import box_of, draw_name, draw_row
 from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
 from jaxfit.data.threads import in_order, reading_threads
-from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS, require_pyarrow
+from jaxfit.data.writers import DEFAULT_FORMATS, PTS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fit import passes_from, passes_from_boxes, require_no_search
 from jaxfit.fitting.given_boxes import read_known_boxes
@@ -42,12 +41,12 @@ from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
+from jaxfit.runs.run_folder import RunFolder, file_digests, run_files
 from jaxfit.schemes.scheme import Scheme
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
 _CHUNK = 256
-_UNFINISHED, _SETTINGS = ".unfinished", "settings.json"
-_COMMAND = "jaxfit fit"
+_COMMAND, _OVERLAYS = "jaxfit fit", "overlays"
 # What earlier versions wrote, without a manifest.
 _RESULTS = (
     *("landmarks.csv", "heads.csv", "landmarks.parquet", "heads.parquet", "faces.jsonl", "keypoints.json"),
@@ -101,13 +100,12 @@ class FolderRun:
     min_confidence: float | None = None
     overwrite: bool = False
 
+    def files(self) -> dict[str, Path]:
+        """The files beside the pictures that the run reads, by what they are."""
+        return run_files(self.model, self.detector, self.boxes)
+
     def settings(self, pictures: Sequence[Path]) -> dict[str, Any]:
         """What has to be the same for a stopped run to go on; JSON values."""
-        files = {
-            f"{name} file": _digest(path.read_bytes())
-            for name in ("model", "boxes")
-            if (path := Path(getattr(self, name) or "")).is_file()
-        }
         # Absolute, too: the same names in another working folder are other pictures.
         names = b"\0".join(os.fsencode(name) for path in pictures for name in (path, path.absolute()))
         return {
@@ -121,7 +119,8 @@ class FolderRun:
             "unshift": self.unshift,
             "refine": self.refine,
             "overlays": self.overlays,
-            **files,
+            "max_megapixels": most_megapixels(),
+            **file_digests(self.model, self.files()),
             "pictures": len(pictures),
             "pictures' names": _digest(names),
         }
@@ -145,6 +144,7 @@ class FolderReport:
         doubtful: how many of them are rather bad than good, as the model's confidence says.
         problems: of pictures without a fit, and of faces in them.
         unused: names of pictures in the file of boxes that were not given.
+        left_out: of the pictures that were given, those that an earlier run has written to the folder of the results.
         written: files and folders, in the folder of the results.
     """
 
@@ -154,6 +154,7 @@ class FolderReport:
     doubtful: int
     problems: tuple[Unfit, ...]
     unused: tuple[str, ...]
+    left_out: tuple[Path, ...]
     written: tuple[Path, ...]
 
 
@@ -166,7 +167,8 @@ def fit_folder(
     that this one does not write are removed.
 
     Pictures are done in chunks that are kept in ``.unfinished``, each as a whole or not at all: a run that was stopped
-    goes on when it is started again with the same settings and pictures, and gives the same files.
+    goes on when it is started again with the same settings and pictures, and gives the same files. Chunks of pictures
+    that have changed since are done anew. One process at a time writes to the folder, and never over what was given.
 
     Args:
         run: what to do; its folder of results may hold those of an earlier run, which are replaced.
@@ -174,35 +176,44 @@ def fit_folder(
         progress: called with the stage's name, pictures done and pictures in all.
 
     Raises:
-        InputError: a setting is wrong, the folder holds an unfinished run of other settings, results of another command
-            or of nobody's manifest, or cannot be written to.
+        InputError: a setting is wrong; the folder holds an unfinished run of other settings, results of another command
+            or of nobody's manifest, is being written by another process, or cannot be written to; or a picture or
+            another file that was given would be written over.
         ModelError: no such model.
     """
-    out = Path(run.out)
     model = load(run.model)
     model = model.unshifted() if run.unshift else model
     pipeline, named = _pipeline(run, model)
-    # Overlays of a run before this one are no pictures to fit.
-    files = [path for path in map(Path, pictures) if out.absolute() not in path.absolute().parents]
-    boxes, unused = _boxes_of(run, named, files)
-    unfinished = out / _UNFINISHED
+    with held(run.out, _COMMAND):
+        return _fit_held(run, pipeline, named, list(map(Path, pictures)), progress)
+
+
+def _fit_held(
+    run: FolderRun, pipeline: Pipeline, named: "_NamedBoxes | None", pictures: Sequence[Path], progress: Progress
+) -> FolderReport:
+    """What `fit_folder` does, in a folder that nobody else writes to."""
+    out, model = Path(run.out), pipeline.model
+    unfinished = RunFolder(out)
+    if not run.overwrite:
+        _require_own(out, unfinished)
+    left_out = same_files(pictures, unfinished.written())
+    files = [path for path in pictures if path not in left_out]
+    labels = list(unique_names(files))
+    overlays = [f"{_OVERLAYS}/{label}.jpg" for label in labels] if run.overlays else []
+    require_no_inputs(_outputs(out, overlays, labels), [*files, *run.files().values()])
     if run.overwrite:
-        shutil.rmtree(unfinished, ignore_errors=True)
-    else:
-        _require_own(out)
-    _make_folder(unfinished)
-    try:
-        require_same_settings(unfinished / _SETTINGS, run.settings(files))
-    except InputError as error:
-        raise InputError(f"{error}, or overwrite to begin anew") from None
-    chunks = _Chunks(unfinished)
-    resumed = _fit_missing(run, pipeline, boxes, unused, files, chunks, progress)
+        unfinished.discard()
+    boxes, unused = _boxes_of(run, named, files)
+    settings = run.settings(files)
+    chunks = [files[first : first + _CHUNK] for first in range(0, len(files), _CHUNK)]
+    unfinished.begin(settings, chunks, [*overlays, *_RESULTS])
+    resumed = _fit_missing(run, pipeline, boxes, unused, chunks, labels, unfinished, progress)
     modes = None if model.space_3d is None else model.space_3d.modes
-    fitted = Rows(model.scheme, modes, model.confidence is not None, chunks.faces)
+    fitted = Rows(model.scheme, modes, model.confidence is not None, unfinished.faces)
     rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
-    problems = [*chunks.problems(), *starmap(Unfit, rows.failures)]
+    problems = [*(Unfit(row["image"], row[PROBLEM]) for row in unfinished.problems()), *starmap(Unfit, rows.failures)]
     write_csv(out / "problems.csv", ["image", "problem"], ((table_path(path), plain(why)) for path, why in problems))
     if run.min_confidence is not None:
         below = fitted.only(lambda row: row["confidence"] < run.min_confidence)
@@ -213,16 +224,34 @@ def fit_folder(
         problems += starmap(Unfit, write_contact_sheet(out / "contact-sheet.jpg", fitted))
         written.append("contact-sheet.jpg")
     ok = Counter(row["ok"] for row in fitted)
-    written += ["problems.csv", *(["overlays"] if run.overlays else [])]
+    written += ["problems.csv", *([_OVERLAYS] if run.overlays else [])]
     others = _unaccounted(out) if run.overwrite else []
-    replace_results(out, _COMMAND, _files(out, written), run.settings(files), others)
+    of_picture = dict(zip(map(str, files), labels, strict=True))
+    replace_results(out, _COMMAND, _files(out, written, rows, fitted, of_picture), settings, others)
     written.append(MANIFEST)
-    shutil.rmtree(unfinished)
+    unfinished.discard()
     paths = tuple(out / name for name in written)
-    return FolderReport(len(files), resumed, ok.total(), ok[False], tuple(problems), tuple(unused), paths)
+    return FolderReport(
+        pictures=len(files),
+        resumed=resumed,
+        faces=ok.total(),
+        doubtful=ok[False],
+        problems=tuple(problems),
+        unused=tuple(unused),
+        left_out=tuple(left_out),
+        written=paths,
+    )
 
 
-def _require_own(out: Path) -> None:
+def _outputs(out: Path, overlays: Sequence[str], labels: Sequence[str]) -> Iterator[Path]:
+    """What a run may write over in its folder."""
+    yield from (out / name for name in (*_RESULTS, MANIFEST, *overlays))
+    # How many faces pictures have is not known yet: what is there is looked at.
+    with suppress(FileNotFoundError, NotADirectoryError), os.scandir(out / PTS) as entries:
+        yield from map(Path, entries)
+
+
+def _require_own(out: Path, unfinished: RunFolder) -> None:
     """Check that a folder holds no results but those of earlier runs like this one.
 
     Raises:
@@ -232,7 +261,7 @@ def _require_own(out: Path) -> None:
         require_own_folder(out, _COMMAND)
     except InputError as error:
         raise InputError(f"{error}, or overwrite to replace them") from None
-    if not (out / _UNFINISHED).exists() and not (out / MANIFEST).exists() and (strange := _unaccounted(out)):
+    if not unfinished.begun and not (out / MANIFEST).exists() and (strange := _unaccounted(out)):
         raise InputError(
             f"{out} holds {strange[0]}, which no {MANIFEST} accounts for, as of an earlier version; use another --out, "
             "or overwrite to replace such results"
@@ -244,21 +273,30 @@ def _unaccounted(out: Path) -> list[str]:
     return [name for name in _RESULTS if (out / name).is_file()]
 
 
-def _files(out: Path, written: Sequence[str]) -> Iterator[str]:
-    """The files that this run wrote; in folders, those that are not older than its beginning."""
-    begun = (out / _UNFINISHED / _SETTINGS).stat().st_mtime_ns
+def _files(out: Path, written: Sequence[str], rows: Rows, drawn: Rows, labels: Mapping[str, str]) -> Iterator[str]:
+    """The files that this run wrote: those of ``rows`` and, in overlays, of ``drawn``, whose pictures have ``labels``.
+
+    Not all that is in the folders: others may have put files there, which no later run may take for its own.
+    """
     for name in written:
-        if (out / name).is_dir():
-            with os.scandir(out / name) as entries:
-                yield from (f"{name}/{entry.name}" for entry in entries if entry.stat().st_mtime_ns >= begun)
+        if name == PTS:
+            yield from _there(out, (f"{PTS}/{row['face']}.pts" for row in rows))
+        elif name == _OVERLAYS:
+            pictures = dict.fromkeys(row["image"] for row in drawn)
+            yield from _there(out, (f"{_OVERLAYS}/{labels[picture]}.jpg" for picture in pictures))
         else:
             yield name
 
 
+def _there(out: Path, names: Iterable[str]) -> Iterator[str]:
+    return (name for name in names if (out / name).is_file())
+
+
+_NamedBoxes = Mapping[str, Sequence[GivenBox]]
 _Boxes = Mapping[Path, Sequence[GivenBox]]
 
 
-def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, Mapping[str, Sequence[GivenBox]] | None]:
+def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | None]:
     """How pictures are fitted, and the boxes of the file, if there is one; wrong settings stop before the work."""
     if run.refine:
         require_refinable(model)
@@ -285,9 +323,7 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, Mapping[str, Sequ
     return Pipeline(model, starts=run.starts, passes=passes), named
 
 
-def _boxes_of(
-    run: FolderRun, named: Mapping[str, Sequence[GivenBox]] | None, files: Sequence[Path]
-) -> tuple[_Boxes | None, list[str]]:
+def _boxes_of(run: FolderRun, named: _NamedBoxes | None, files: Sequence[Path]) -> tuple[_Boxes | None, list[str]]:
     """The boxes of each picture, None if they are looked for, and the names in the file that no picture has."""
     if named is None or run.boxes is None:
         return None, []
@@ -302,34 +338,35 @@ def _fit_missing(
     pipeline: Pipeline,
     boxes: _Boxes | None,
     unused: Sequence[str],
-    files: Sequence[Path],
-    chunks: "_Chunks",
+    chunks: Sequence[Sequence[Path]],
+    labels: Sequence[str],
+    unfinished: RunFolder,
     progress: Progress,
 ) -> int:
     """Fit the chunks that are not there, and keep each; returns how many pictures were there."""
-    model = pipeline.model
-    overlays = _make_folder(Path(run.out) / "overlays") if run.overlays else None
-    labels = list(unique_names(files))
+    model, overlays = pipeline.model, Path(run.out) / _OVERLAYS
+    if run.overlays:
+        overlays.mkdir(exist_ok=True)
     elsewhere = {PurePath(name).name: name for name in unused}
-    slices = [slice(first, first + _CHUNK) for first in range(0, len(files), _CHUNK)]
-    missing = [number for number in range(len(slices)) if not chunks.has(number)]
-    sources = ([_source(path, boxes) for path in files[slices[number]]] for number in missing)
-    left = sum(len(files[slices[number]]) for number in missing)
-    done_before = len(files) - left
+    missing = [number for number in range(len(chunks)) if not unfinished.has(number)]
+    sources = ([_source(path, boxes) for path in chunks[number]] for number in missing)
+    left = sum(len(chunks[number]) for number in missing)
+    pictures = sum(map(len, chunks))
+    done_before = pictures - left
 
     def report(stage: str, done: int, total: int) -> None:
-        progress(stage, done_before + done, len(files))
+        progress(stage, done_before + done, pictures)
 
     with closing(stream(pipeline, sources, left, report)) as results:
         for number, fits in zip(missing, results, strict=True):
-            some = slices[number]
+            named = labels[number * _CHUNK : (number + 1) * _CHUNK]
             fits = refine(model, fits) if run.refine else fits
-            rows = list(fits.rows(labels[some], problems=True))
+            rows = list(fits.rows(named, problems=True))
             if boxes is not None:  # of pictures without any row that is said
                 rows = [row if "face" in row else row | {PROBLEM: _no_row(row["image"], elsewhere)} for row in rows]
-            if overlays is not None:
-                rows += _draw(overlays, model.scheme, files[some], labels[some], rows)
-            chunks.put(number, rows)
+            if run.overlays:
+                rows += _draw(overlays, model.scheme, chunks[number], named, rows)
+            unfinished.put(number, rows)
     return done_before
 
 
@@ -360,12 +397,13 @@ def _draw(
     def draw(picture: Path, label: str) -> list[Row]:
         path = folder / f"{label}.jpg"
         try:
-            canvas = read_image(picture)
-            for number, row in enumerate(faces[str(picture)], 1):
-                canvas = draw_row(canvas, row, scheme)
-                name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
-                canvas = draw_name(canvas, name, box_of(row), row["ok"])
-            write_image(path, canvas)
+            with counted_together():
+                canvas = read_image(picture)
+                for number, row in enumerate(faces[str(picture)], 1):
+                    canvas = draw_row(canvas, row, scheme)
+                    name = str(number) if row["ok"] else f"{number}: {row['confidence']:.2f}"
+                    canvas = draw_name(canvas, name, box_of(row), row["ok"])
+                write_image(path, canvas)
         except ImageError as error:
             return [{"image": str(picture), PROBLEM: str(error).removeprefix(f"{picture}: ")}]
         except (OSError, InputError) as error:
@@ -381,48 +419,3 @@ def _draw(
 
 def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:16]
-
-
-def _make_folder(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"expected a folder to write to; {folder}: {error.strerror}") from None
-    return folder
-
-
-class _Chunks:
-    """What was found in pictures, chunk by chunk, in a folder: a chunk is there as a whole or not at all.
-
-    Args:
-        folder: holds a file of JSON lines a chunk; it exists.
-    """
-
-    def __init__(self, folder: Path):
-        self._folder = folder
-
-    def _file(self, number: int) -> Path:
-        return self._folder / f"{number:07}.jsonl"
-
-    def has(self, number: int) -> bool:
-        """Whether this chunk is there."""
-        return self._file(number).exists()
-
-    def put(self, number: int, rows: Sequence[Row]) -> None:
-        """Keep the rows of a chunk of pictures, and those that say what was wrong."""
-        with atomic_write(self._file(number), "w") as file:
-            file.writelines(json.dumps(row) + "\n" for row in rows)
-
-    def faces(self) -> Iterator[Row]:
-        """The fitted faces of all chunks, in order."""
-        return (row for row in self._rows() if PROBLEM not in row)
-
-    def problems(self) -> Iterator[Unfit]:
-        """The problems of all chunks, in order."""
-        return (Unfit(row["image"], row[PROBLEM]) for row in self._rows() if PROBLEM in row)
-
-    def _rows(self) -> Iterator[Row]:
-        # Not what a killed run was writing: hidden files.
-        for path in sorted(self._folder.glob("[0-9]*.jsonl")):
-            with path.open(encoding="utf-8") as lines:
-                yield from map(json.loads, lines)

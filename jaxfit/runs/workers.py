@@ -12,6 +12,7 @@ import numpy as np
 from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
+from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels
 from jaxfit.data.names import table_path
 from jaxfit.data.pictures import NAMELESS, kind_of
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
@@ -36,6 +37,7 @@ class BatchFitter:
         starts: as in ``jaxfit.fit``.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         cores: that a worker's threads keep busy; with a worker for each core, 1.
+        max_megapixels: of a picture; larger ones are problems.
 
     Raises:
         InputError: no such detector, or a number out of range.
@@ -48,11 +50,14 @@ class BatchFitter:
     starts: Starts = field(default_factory=Starts)
     refine: bool = False
     cores: int = 1
+    max_megapixels: float = DEFAULT_MEGAPIXELS
 
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
         read_named(self.model, BUNDLED, "model")
         detector_named(self.detector, self.search)
+        with at_most_megapixels(self.max_megapixels):  # if it is a number that may be
+            pass
         if self.cores < 1:
             raise InputError(f"expected at least one core for a worker; got {self.cores}")
 
@@ -75,7 +80,7 @@ class BatchFitter:
         """
         names, pictures = _pictures(batch)
         model, detector = _loaded(self.model, self.detector, self.search, self.cores)
-        with at_most_cores(self.cores):
+        with at_most_cores(self.cores), at_most_megapixels(self.max_megapixels):
             fits = fit(
                 model,
                 pictures,

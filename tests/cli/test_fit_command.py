@@ -49,7 +49,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FolderRun, list[Path]]]
     def fit_folder(run: FolderRun, pictures: Sequence[Path], progress: Callable[[str, int, int], None]) -> FolderReport:
         calls.append((run, list(pictures)))
         why = (Unfit("a.png", "the file is empty"),)
-        return FolderReport(12, 8, 0, 0, why, (), (Path("out") / "problems.csv",))
+        return FolderReport(12, 8, 0, 0, why, (), (), (Path("out") / "problems.csv",))
 
     monkeypatch.setattr("jaxfit.cli.fit.fit_folder", fit_folder)
     return calls

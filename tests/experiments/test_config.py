@@ -1,5 +1,6 @@
 """Configurations: what a file says is what is run; mistakes in it are reported."""
 
+import time
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -179,3 +180,17 @@ def test_folders_of_one_name_hold_other_people() -> None:
         "c",
         *["train"] * 2,
     ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["a = " + 90_000 * "[", ".".join(50_000 * ["a"]) + " = 1", "a = " + 90_000 * "9", 200_000 * "#"],
+    ids=["nested arrays", "dotted keys", "a long number", "a long file"],
+)
+def test_bombs_are_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "bomb.toml"
+    path.write_text(text)
+    begun = time.monotonic()
+    with pytest.raises(InputError, match=r"bomb\.toml"):
+        read_config(path)
+    assert time.monotonic() - begun < 10

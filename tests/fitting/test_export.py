@@ -314,6 +314,27 @@ def test_other_formats_and_versions_of_jax_say_what_to_do(
     assert "use that version, or export the model again" in words
 
 
+def test_programs_that_call_other_code_are_refused(good: bytes, refusal: Callable[[bytes], str]) -> None:
+    """An undamaged file of somebody's, whose program is written to a file by Python when it runs."""
+
+    def evil(crops: jax.Array, arrays: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        return {"landmarks": jax.ffi.ffi_call("xla_ffi_python_cpu_callback", crops)(crops)}
+
+    header, tensors = header_of(good), unpack(good)
+    shapes = {
+        name: jax.ShapeDtypeStruct(array.shape, np.float32) for name, array in tensors.items() if "fit" not in name
+    }
+    side = header["frame"]["crop"]
+    checks = [export.DisabledSafetyCheck.custom_call("xla_ffi_python_cpu_callback")]
+    made = export.export(jax.jit(evil), platforms=["cpu"], disabled_checks=checks)(
+        jax.ShapeDtypeStruct((1, side, side), np.uint8), shapes
+    )
+    tensors["fit_1"] = np.frombuffer(made.serialize(), np.uint8)
+    header.pop("sha256")
+    header["sha256"] = exporting._checksum(header, tensors)
+    assert "its programs call xla_ffi_python_cpu_callback" in refusal(repacked(good, header, fit_1=tensors["fit_1"]))
+
+
 def test_what_cannot_be_exported_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     model = random_model("sdm")
     for name in ("model.npz", "model", "none/model.safetensors"):

@@ -141,3 +141,51 @@ def test_pose_signs_agree_with_the_landmarks(real_dataset):
     present = np.array([face.present for face in faces])
     assert yaw[~present[:, 12] & present[:, 16]].mean() > 30
     assert yaw[present[:, 12] & ~present[:, 16]].mean() < -30
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "CREATE VIEW FacePose AS SELECT 1 AS face_id, 0 AS roll, 0 AS pitch, 0 AS yaw",
+        "CREATE VIEW FacePose AS WITH RECURSIVE n(face_id) AS (SELECT 1 UNION ALL SELECT face_id + 1 FROM n) "
+        "SELECT face_id, 0 AS roll, 0 AS pitch, 0 AS yaw FROM n",
+        "CREATE VIRTUAL TABLE FacePose USING fts5(face_id, roll, pitch, yaw)",
+        "CREATE TABLE FacePose(face_id, roll AS (zeroblob(1000000000)), pitch, yaw)",
+    ],
+)
+def test_nothing_in_the_database_is_run(aflw, table):
+    path, folder, database = aflw
+    add_aflw_face(database, 1)
+    add_aflw_picture(database, folder, "p1")
+    database.execute("DROP TABLE FacePose")
+    database.execute(table)
+    with pytest.raises(DatasetError, match="FacePose is no plain table of stored values"):
+        read_aflw(path)
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ("UPDATE FaceImages SET filepath = zeroblob(100000000)", "too big"),
+        ("UPDATE FaceImages SET filepath = printf('%.*c', 50000, 'a')", "a text of over 4,096 letters"),
+        ("UPDATE FaceImages SET filepath = '../../secret.jpg'", "which is not in flickr"),
+        ("UPDATE FaceImages SET filepath = '/etc/secret.jpg'", "which is not in flickr"),
+    ],
+)
+def test_absurd_and_foreign_paths_are_refused(aflw, statement, words):
+    path, folder, database = aflw
+    add_aflw_face(database, 1)
+    add_aflw_picture(database, folder, "p1")
+    database.execute(statement)
+    with pytest.raises(DatasetError, match=words):
+        read_aflw(path)
+
+
+def test_a_query_ends(aflw, monkeypatch):
+    path, folder, database = aflw
+    for face in range(300):
+        add_aflw_face(database, face)
+    add_aflw_picture(database, folder, "p1")
+    monkeypatch.setattr("jaxfit.labels.importers.aflw._MOST_SECONDS", -1.0)
+    with pytest.raises(DatasetError, match="takes over -1 seconds"):
+        read_aflw(path)

@@ -1,6 +1,7 @@
 """MATLAB files, against SciPy's writer and reader, and damaged ones."""
 
 import struct
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -103,3 +104,18 @@ def test_variables_that_expand_without_end_are_refused(tmp_path, monkeypatch):
     (tmp_path / "x.mat").write_bytes(header + struct.pack("<II", 15, len(packed)) + packed)
     with pytest.raises(DatasetError, match="over 1 MiB"):
         read_matlab(tmp_path / "x.mat")
+
+
+def test_small_files_do_not_become_large(tmp_path):
+    """Ten variables of 60 MiB of zeros each are a file of 600 kB."""
+    zeros = bytes(60 << 20)
+    body = zlib.compress(struct.pack("<II", matlab._MATRIX, len(zeros)) + zeros)
+    path = tmp_path / "bomb.mat"
+    header = bytes(124) + b"\x00\x01IM"
+    path.write_bytes(header + 10 * (struct.pack("<II", matlab._COMPRESSED, len(body)) + body))
+    assert path.stat().st_size < 1 << 20
+    tracemalloc.start()
+    with pytest.raises(DatasetError, match=r"bomb\.mat: .*"):
+        read_matlab(path)
+    assert tracemalloc.get_traced_memory()[1] < 300 << 20
+    tracemalloc.stop()

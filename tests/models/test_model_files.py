@@ -222,6 +222,21 @@ def test_any_value_anywhere_in_the_header_gives_a_model_or_a_model_error(good, l
             assert isinstance(outcome, str), (path, value)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda header: header["frame"].update(crop=200.5),
+        lambda header: header["frame"].update(crop=True),
+        lambda header: header["frame"].update(crop=1e9),
+        lambda header: next(iter(header["placements"].values())).update(log_scale=500.0),
+        lambda header: next(iter(header["placements"].values())).update(shift=[1e6, 0.0]),
+        lambda header: next(iter(header["placements"].values()))["spread"].update(rotation=-1.0),
+    ],
+)
+def test_values_out_of_any_sense_are_refused(good, loaded, change):
+    assert isinstance(loaded(repacked(good, change)), str)
+
+
 def test_missing_entries_are_refused(good, loaded):
     for name in ("format", "space", "descriptor", "frame", "scheme", "placements", "training"):
         assert name in loaded(repacked(good, lambda header, name=name: header.pop(name)))

@@ -1,22 +1,24 @@
 """Batches in workers of several kinds, and collections: every picture once, whichever process is killed."""
 
+import fcntl
 import multiprocessing
 import os
 import pickle
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Event
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from jaxfit.data.locks import held
 from jaxfit.errors import InputError, JaxfitError, ModelError
 from jaxfit.runs import BatchFitter, FolderRun, collection, fit_collection, fit_folder
 
@@ -194,6 +196,28 @@ def test_only_what_is_missing_is_fitted(
     assert {row["part"] for row in found} == {path.name for path in (tmp_path / "parts").iterdir()}
 
 
+def test_pictures_that_have_changed_are_fitted_anew(
+    in_process: list[list[str]], fitter: BatchFitter, batch: Columns, tmp_path: Path
+) -> None:
+    pictures = [tmp_path / f"{number}.png" for number in range(4)]
+    for picture in pictures:
+        picture.write_bytes(Path(batch["image"][0]).read_bytes())
+    fit_collection(pictures, tmp_path / "out", fitter, part=2)
+    for changed, outcomes in ((pictures[1:2], (3, 1)), (pictures[2:], (1, 3))):
+        in_process.clear()
+        for picture in changed:
+            picture.write_bytes(b"no picture any more")
+        counts = fit_collection(pictures, tmp_path / "out", fitter, part=2)
+        assert in_process == [[picture.name for picture in changed]]
+        assert (counts["fitted"], counts["problem"]) == outcomes
+        assert len(manifest(tmp_path / "out")) == 4
+    in_process.clear()
+    fit_collection(pictures, tmp_path / "out", fitter, part=2)
+    assert not in_process
+    with held(tmp_path / "out", "jaxfit collect"), pytest.raises(InputError, match="is being written by"):
+        fit_collection(pictures, tmp_path / "out", fitter, part=2)
+
+
 def test_a_part_that_kills_its_workers_is_missing_and_tried_again_later(
     in_process: list[list[str]], fitter: BatchFitter, batch: Columns, tmp_path: Path
 ) -> None:
@@ -262,53 +286,63 @@ print(sorted((os.path.basename(row["image"]), row["problem"]) for row in rows))
 """
 
 
-def _held(run: "subprocess.Popen[str]", pipe: Path) -> int:
-    """Wait until a worker reads from the pipe, and hold it there: it waits for as long as this end is open."""
-    while run.poll() is None:
-        try:
-            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError:  # nobody reads from it yet
-            time.sleep(0.1)
-    raise AssertionError(run.communicate())
+class _Hold:
+    """Holds whoever opens a file, by a lease of Linux, for up to 45 seconds."""
+
+    def __init__(self, path: Path):
+        self._asked = Event()
+        self._before = signal.signal(signal.SIGIO, lambda *_: self._asked.set())
+        self._file = os.open(path, os.O_WRONLY)
+        fcntl.fcntl(self._file, fcntl.F_SETLEASE, fcntl.F_WRLCK)
+
+    def wait(self, run: "subprocess.Popen[str]") -> None:
+        """Until a worker wants to open it."""
+        while not self._asked.wait(0.1):
+            assert run.poll() is None, run.communicate()
+
+    def release(self) -> None:
+        """Let everybody open it."""
+        os.close(self._file)
+        signal.signal(signal.SIGIO, self._before)
 
 
 @pytest.mark.timeout(600)
 @pytest.mark.skipif(not find_spec("ray"), reason="needs jaxfit[ray]")
 def test_with_ray_every_picture_comes_once_whoever_is_killed(batch: Columns, tmp_path: Path) -> None:
-    """A picture that is a pipe holds its worker until that, or the whole run, is killed; afterwards it is a file."""
+    """A picture that cannot be opened yet holds its worker until that, or the whole run, is killed."""
     psutil = pytest.importorskip("psutil")
-    out, pipe = tmp_path / "out", tmp_path / "pipe.png"
-    os.mkfifo(pipe)
+    out, late = tmp_path / "out", tmp_path / "late.png"
+    late.write_bytes(Path(batch["image"][0]).read_bytes())
 
     def map_workers(run: "subprocess.Popen[str]") -> list[Any]:
         family = psutil.Process(run.pid).children(recursive=True)
         return [each for each in family if "MapWorker" in " ".join(each.cmdline())]
 
-    pictures = [*batch["image"][:4], str(pipe), *batch["image"][4:]]
+    pictures = [*batch["image"][:4], str(late), *batch["image"][4:]]
     environment = {**os.environ, "RAY_worker_niceness": "0"}
     collect = [sys.executable, "-m", "jaxfit.cli.main", "collect", "--model", _MODEL, "--detector", "whole"]
     collect += ["--out", str(out), "--workers", "1", "--part", "2", *pictures]
 
+    hold = _Hold(late)
     with subprocess.Popen(collect, env=environment, text=True) as run:
-        held = _held(run, pipe)
+        hold.wait(run)
         workers = map_workers(run)
         family = psutil.Process(run.pid).children(recursive=True)
         sockets = [socket for each in family for socket in each.net_connections() if socket.status == "LISTEN"]
         assert {socket.laddr.ip.removeprefix("::ffff:") for socket in sockets} == {"127.0.0.1"}
         run.kill()
     psutil.wait_procs(workers)
-    os.close(held)
+    hold.release()
     written = {path: path.stat().st_mtime_ns for path in (out / "parts").glob("[!.]*.parquet")}
     assert len(written) == 2
 
     command = [sys.executable, "-c", _IN_A_CLUSTER, _MODEL, str(out), *pictures]
+    hold = _Hold(late)
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as run:
-        held = _held(run, pipe)
+        hold.wait(run)
         (worker,) = map_workers(run)
-        (tmp_path / "file.png").write_bytes(Path(pictures[0]).read_bytes())
-        (tmp_path / "file.png").replace(pipe)
         worker.send_signal(signal.SIGKILL)
-        os.close(held)
+        hold.release()
         said = run.communicate()[0].splitlines()
     assert said[-2:] == [  # after what Ray says of the worker
         "{'fitted': 10, 'none': 0, 'problem': 1, 'missing': 0}",

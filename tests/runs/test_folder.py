@@ -30,6 +30,7 @@ from jaxfit.labels.records import FaceRecord
 from jaxfit.models.files import save
 from jaxfit.models.model import Model
 from jaxfit.runs import FolderReport, FolderRun, fit_folder, folder
+from jaxfit.runs.run_folder import RunFolder
 from jaxfit.schemes.known import AFLW21
 
 _CHUNK = 4
@@ -253,7 +254,7 @@ class _Stopped(Exception):
 
 def _fit_until(run: FolderRun, pictures: list[Path], chunk: int) -> None:
     """Stop a run when it wants to keep the chunk of this number."""
-    put = folder._Chunks.put
+    put = RunFolder.put
 
     def stop(self: Any, number: int, rows: Any) -> None:
         if number == chunk:
@@ -261,7 +262,7 @@ def _fit_until(run: FolderRun, pictures: list[Path], chunk: int) -> None:
         put(self, number, rows)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(folder._Chunks, "put", stop)
+        patch.setattr(RunFolder, "put", stop)
         with pytest.raises(_Stopped):
             fit_folder(run, pictures)
 
@@ -357,15 +358,16 @@ def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> 
 _DIES = f"""
 import os, signal, sys
 from jaxfit.runs import FolderRun, fit_folder, folder
+from jaxfit.runs.run_folder import RunFolder
 
 folder._CHUNK = {_CHUNK}
-put = folder._Chunks.put
+put = RunFolder.put
 
 def rows_and_death(rows):
     yield rows[0]
     os.kill(os.getpid(), signal.SIGKILL)
 
-folder._Chunks.put = lambda self, number, rows: put(self, number, rows_and_death(rows) if number == 1 else rows)
+RunFolder.put = lambda self, number, rows: put(self, number, rows_and_death(rows) if number == 1 else rows)
 out, model, boxes, *pictures = sys.argv[1:]
 fit_folder(FolderRun(out, model, boxes=boxes), pictures)
 """
@@ -379,7 +381,7 @@ def test_a_run_that_is_killed_while_it_writes_leaves_whole_chunks(
     killed = subprocess.run([sys.executable, "-c", _DIES, *map(str, arguments)], check=False)
     assert killed.returncode == -signal.SIGKILL
     out = Path(run.out)
-    assert [path.name for path in (out / ".unfinished").glob("[!.]*.jsonl")] == ["0000000.jsonl"]
+    assert [path.name.partition("-")[0] for path in (out / ".unfinished").glob("[!.]*.jsonl")] == ["0000000"]
     assert list((out / ".unfinished").glob(".*"))  # of the chunk that was being written
     assert fit_folder(run, pictures).resumed == _CHUNK
     _assert_same_results(out, whole[1])
@@ -397,6 +399,61 @@ def test_results_within_the_pictures_folder_are_no_pictures(run: FolderRun, draw
         report = fit_folder(inside, find_images([given], recursive=True))
         assert (report.pictures, report.faces) == (2, 1)
         assert [Path(image).name for image, _ in report.problems] == ["lost.png"]
+
+
+def test_nothing_that_was_given_is_written_over(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    """Pictures in a folder called like one of results, in --out itself or behind a link; boxes called like a table."""
+    given = tmp_path / "photos" / "overlays"
+    given.mkdir(parents=True)
+    picture, good = given / "a.jpg", (drawn / "face000.png").read_bytes()
+    picture.write_bytes(good)
+    (tmp_path / "linked").symlink_to(tmp_path / "photos", target_is_directory=True)
+    boxes = write_boxes(tmp_path / "photos" / "problems.csv", {"a.jpg": (35, 35, 50, 50)})
+    for out in (tmp_path / "photos", tmp_path / "linked"):
+        there = replace(run, out=out, overwrite=True)  # results, and not what was given
+        with pytest.raises(InputError, match=r"a\.jpg was given as input"):
+            fit_folder(there, [picture])
+        with pytest.raises(InputError, match=r"problems\.csv was given as input"):
+            fit_folder(replace(there, boxes=boxes, overlays=False), [picture])
+    assert picture.read_bytes() == good
+    assert sorted(path.name for path in (tmp_path / "photos").rglob("*")) == ["a.jpg", "overlays", "problems.csv"]
+
+
+def test_only_what_a_run_wrote_is_left_out(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    """Pictures in the folder of results are pictures, but for the overlays of a run that finished, or was stopped."""
+    out = tmp_path / "photos"
+    out.mkdir()
+    for number in range(8):
+        (out / f"{number:02}.png").write_bytes((drawn / f"face{number % 4:03}.png").read_bytes())
+    inside = replace(run, out=out)
+    _fit_until(inside, find_images([out]), 1)
+    for resumed in (_CHUNK, 0):
+        assert (out / "overlays" / "00.jpg").is_file()
+        report = fit_folder(inside, find_images([out], recursive=True))
+        assert (report.pictures, report.faces, report.resumed) == (8, 8, resumed)
+        assert {path.parent.name for path in report.left_out} == {"overlays"}
+    assert len(report.left_out) == 8
+    # What others put beside the results is theirs, whenever they did.
+    (out / "overlays" / "mine.png").write_bytes((drawn / "face000.png").read_bytes())
+    assert fit_folder(replace(inside, overlays=False), find_images([out])).pictures == 8
+    assert [path.name for path in (out / "overlays").iterdir()] == ["mine.png"]
+
+
+def test_inputs_that_have_changed_are_noticed(run: FolderRun, drawn: Path, tmp_path: Path) -> None:
+    pictures = [tmp_path / f"{number:02}.png" for number in range(8)]
+    for path in pictures:
+        path.write_bytes((drawn / "face000.png").read_bytes())
+    _fit_until(run, pictures, 1)
+    pictures[2].write_bytes(b"no picture any more")
+    report = fit_folder(run, pictures)
+    assert (report.resumed, report.faces) == (0, 7)
+    assert [Path(image).name for image, _ in report.problems] == ["02.png"]
+    detector = tmp_path / "detector.onnx"
+    detector.write_bytes(b"one")
+    of_file = replace(run, boxes=None, detector=f"yunet:{detector}")
+    before = of_file.settings(pictures)
+    detector.write_bytes(b"another")
+    assert before != of_file.settings(pictures)
 
 
 def test_a_detector_finds_the_faces_where_there_are_no_boxes(run: FolderRun, drawn: Path) -> None:

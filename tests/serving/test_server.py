@@ -352,6 +352,21 @@ def test_one_picture_at_a_time_and_few_wait(quick: Callable) -> None:
         assert ask(server, "POST", FIT, encoded())[0] == 200
 
 
+def test_memory_does_not_grow_with_requests(quick: Callable) -> None:
+    """Answered, refused and broken ones."""
+    psutil = pytest.importorskip("psutil")
+    bodies = (encoded(), b"garbage", encoded()[:-9], promised(50_000, 50_000), bytes(2_000_000))
+
+    def some(server: Server, count: int) -> int:
+        for number in range(count):
+            ask(server, "POST", FIT, bodies[number % len(bodies)])
+        return psutil.Process().memory_info().rss
+
+    with quick() as server:
+        before = some(server, 50)
+        assert some(server, 450) - before < 30 << 20
+
+
 def test_idle_connections_do_not_pile_up(server: Server) -> None:
     idle = [socket.create_connection(("127.0.0.1", server.port), timeout=WAIT) for _ in range(33)]
     try:

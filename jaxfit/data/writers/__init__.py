@@ -4,10 +4,10 @@ from jaxfit.data.writers.coco import write_coco
 from jaxfit.data.writers.csv_tables import write_tables
 from jaxfit.data.writers.json_lines import write_json_lines
 from jaxfit.data.writers.parquet import require_pyarrow, write_parquet
-from jaxfit.data.writers.pts_files import write_pts_files
+from jaxfit.data.writers.pts_files import PTS, write_pts_files
 from jaxfit.data.writers.writer import Writer
 
-__all__ = ["DEFAULT_FORMATS", "WRITERS", "Writer", "require_pyarrow"]
+__all__ = ["DEFAULT_FORMATS", "PTS", "WRITERS", "Writer", "require_pyarrow"]
 
 WRITERS: dict[str, Writer] = {
     "csv": write_tables,

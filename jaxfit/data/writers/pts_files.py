@@ -9,14 +9,16 @@ from jaxfit.data.pts import write_pts
 from jaxfit.data.rows import Rows
 from jaxfit.errors import InputError
 
+PTS = "pts"  # the folder that they are in
+
 
 def write_pts_files(folder: Path, rows: Rows) -> list[str]:
     """``pts/FACE.pts``, counted from 1; a file that cannot be written is a failure of its picture."""
-    (folder / "pts").mkdir(exist_ok=True)
+    (folder / PTS).mkdir(exist_ok=True)
     for row in rows:
-        path = folder / "pts" / f"{row['face']}.pts"
+        path = folder / PTS / f"{row['face']}.pts"
         try:
             write_pts(path, np.array(row["landmarks"]))
         except (OSError, InputError) as error:
             rows.failures.append((row["image"], not_written(path, error)))
-    return ["pts"]
+    return [PTS]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.inputs import read_regular
 from jaxfit.errors import DatasetError
 
 # Types of elements.
@@ -21,7 +22,7 @@ _MATRIX, _COMPRESSED = 14, 15
 _NUMERIC = range(6, 16)
 _COMPLEX = 0x800
 _HEADER = 128
-_LARGEST = 1 << 26  # bytes of a variable; a small damaged or malicious file may claim to expand to any number
+_LARGEST = 1 << 26  # bytes of a file, and of its variables; a small one may claim to expand to any number
 
 
 def read_matlab(path: Path) -> dict[str, np.ndarray]:
@@ -33,7 +34,7 @@ def read_matlab(path: Path) -> dict[str, np.ndarray]:
         DatasetError: the file cannot be read, is of another kind, or damaged.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path, _LARGEST)
         # The version and the mark of files whose numbers start with the lowest byte.
         if data[124:_HEADER] != b"\x00\x01IM":
             raise ValueError("it does not start like one")
@@ -43,9 +44,12 @@ def read_matlab(path: Path) -> dict[str, np.ndarray]:
 
 
 def _variables(data: bytes) -> Iterator[tuple[str, np.ndarray]]:
+    left = _LARGEST
     for kind, content in _elements(data):
         if kind == _COMPRESSED:
-            kind, content = _first(_inflated(content), 1)[0]
+            inflated = _inflated(content, left)
+            left -= len(inflated)
+            kind, content = _first(inflated, 1)[0]
         if kind == _MATRIX and _is_numeric(content):
             yield _array(content)
 
@@ -71,11 +75,11 @@ def _first(data: bytes, count: int) -> list[tuple[int, bytes]]:
     return elements
 
 
-def _inflated(content: bytes) -> bytes:
+def _inflated(content: bytes, most: int) -> bytes:
     inflater = zlib.decompressobj()
-    inflated = inflater.decompress(content, _LARGEST)
-    if not inflater.eof:
-        raise ValueError(f"a variable is cut off or over {_LARGEST >> 20} MiB large")
+    inflated = inflater.decompress(content, most + 1)  # 0 would mean without an end
+    if not inflater.eof or len(inflated) > most:
+        raise ValueError(f"a variable is cut off, or all are over {_LARGEST >> 20} MiB large")
     return inflated
 
 

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.inputs import read_text
 from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
 from jaxfit.schemes.known import NO_LANDMARKS
 
+_MOST_BYTES = 1 << 16  # of a box
 _FOLDER = re.compile(r"Person[0-9]{2}")
 # Person, series, number within the series, tilt and pan in degrees: person01146+0+0. Looking at the pictures shows that
 # tilt > 0 looks up and pan > 0 turns the nose to the image's left, as our pitch and yaw do.
@@ -75,7 +77,7 @@ def _read_box(path: Path) -> np.ndarray:
         DatasetError: the file is missing or says something else.
     """
     try:
-        words = path.read_text(encoding="utf-8-sig").split()
+        words = read_text(path, _MOST_BYTES).split()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: cannot be read as text ({error})") from error
     try:
