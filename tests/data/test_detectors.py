@@ -66,7 +66,7 @@ def test_detectors_take_what_fit_takes_and_refuse_the_rest(name, any_rotation):
                 look(wrong)
 
 
-@pytest.mark.parametrize("bad", [{"smallest": 3.0}, {"smallest": np.nan}, {"score": 1.5}, {"score": 0}], ids=str)
+@pytest.mark.parametrize("bad", [{"smallest": 3.0}, {"smallest": np.nan}, {"score": 1.5}, {"score": 0.0}], ids=str)
 def test_searches_that_make_no_sense_are_refused(bad):
     with pytest.raises(InputError, match="expected a s"):
         Search(**bad)
