@@ -191,7 +191,7 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     say(
         "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
         "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated. Learned from: "
-        "faces in pictures that the model was trained on, which are no test of it."
+        "faces in pictures that the model was trained on, which are no test of it; unknown: the model does not say."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or model.space_3d is not None}
     say(text_table([_row(spec, result) for spec, result in results.items()], columns))

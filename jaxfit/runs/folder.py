@@ -260,11 +260,11 @@ def _require_own(out: Path, unfinished: RunFolder) -> None:
     try:
         require_own_folder(out, _COMMAND)
     except InputError as error:
-        raise InputError(f"{error}, or overwrite to replace them") from None
+        raise InputError(f"{error}, or overwrite (--overwrite) to replace them") from None
     if not unfinished.begun and not (out / MANIFEST).exists() and (strange := _unaccounted(out)):
         raise InputError(
             f"{out} holds {strange[0]}, which no {MANIFEST} accounts for, as of an earlier version; use another --out, "
-            "or overwrite to replace such results"
+            "or overwrite (--overwrite) to replace such results"
         )
 
 

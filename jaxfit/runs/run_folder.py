@@ -58,7 +58,7 @@ class RunFolder:
         try:
             require_same_settings(self._folder / _SETTINGS, settings)
         except InputError as error:
-            raise InputError(f"{error}, or overwrite to begin anew") from None
+            raise InputError(f"{error}, or overwrite (--overwrite) to begin anew") from None
         of_run = json.dumps(settings, sort_keys=True)
         self._chunks = [
             self._folder / f"{number:07}-{_digest(of_run, state_of(pictures))}.jsonl"

@@ -284,7 +284,7 @@ def test_a_stopped_run_goes_on_where_it_was(
     other = write_boxes(tmp_path / "other.csv", {pictures[0].name: (35, 35, 50, 50)})
     # A run of other pictures, or with other settings, must not go on from there.
     for changed in ({"overlays": False}, {"starts": Starts(3)}, {"boxes": other}):
-        with pytest.raises(InputError, match=r"holds results of other settings \(.*overwrite to begin anew"):
+        with pytest.raises(InputError, match=r"holds results of other settings \(.*overwrite \(--overwrite\) to begin"):
             fit_folder(replace(run, **changed), pictures)
     with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
         fit_folder(run, pictures[1:])
