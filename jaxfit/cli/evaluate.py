@@ -306,4 +306,4 @@ def _faces(results: dict[str, Evaluation]) -> Iterator[list[object]]:
             numbers = [*box, f"{error:.6f}", error_3d, *pose]
             names = [table_word(face.face), table_word(face.subject), table_path(face.image)]
             learned = "" if result.learned is None else int(result.learned[number])
-            yield [plain(spec), *names, *numbers, face.pose_order, learned, plain(problem)]
+            yield [plain(spec), *names, *numbers, face.pose_order, learned, table_word(problem)]

@@ -10,7 +10,8 @@ _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b
 ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
 # How other files of pictures begin; of bitmaps and Netpbm's more has to be right, as words may begin so.
 _BEGINNINGS = re.compile(
-    rb"GIF8[79]a|II\*\0|MM\0\*|RIFF....WEBP|BM....\0{4}....[\x0c\x28\x34\x38\x40\x6c\x7c]\0{3}|P[1-6]\s+(#|\d+\s+\d+\s)|"
+    rb"GIF8[79]a|II[*+]\0|MM\0[*+]|RIFF....WEBP|BM....\0{4}....[\x0c\x28\x34\x38\x40\x6c\x7c]\0{3}|"
+    rb"P[1-6]\s+(#|\d+\s+\d+\s)|P7\s+WIDTH|P[Ff]\n|"
     rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51|\0\0\0\x0cJXL |\xff\x0a|#\?RADIANCE|v/1\x01|8BPS|\x59\xa6\x6a\x95",
     re.DOTALL,
 )

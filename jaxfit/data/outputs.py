@@ -51,12 +51,20 @@ def require_own_folder(folder: str | Path, command: str) -> None:
 
 def results_in(folder: str | Path) -> list[str]:
     """The files of a folder of results that its manifest lists, by their paths in it; none if there is no manifest, or
-    a damaged one. Paths out of the folder, of whoever wrote the manifest, are left out."""
+    a damaged one. What is not there, or is in another folder, links included, is left out."""
     try:
         listed = (_manifest(Path(folder)) or {"files": []})["files"]
     except InputError:
         return []
-    return [name for name in listed if ".." not in Path(name).parts and not Path(name).is_absolute()]
+    return [name for name in listed if _is_file_in(Path(folder), name)]
+
+
+def _is_file_in(folder: Path, name: str) -> bool:
+    try:
+        path = folder / name
+        return path.is_file() and path.parent.resolve().is_relative_to(folder.resolve())
+    except (OSError, ValueError):
+        return False
 
 
 def replace_results(
@@ -98,8 +106,13 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        if not (isinstance(found["command"], str) and all(isinstance(name, str) for name in found["files"])):
-            raise ValueError("a command and files that are no text")
+        files = found["files"]
+        if not (
+            isinstance(found["command"], str)
+            and isinstance(files, list)
+            and all(isinstance(name, str) for name in files)
+        ):
+            raise ValueError("a command that is no text, or files that are no list of names")
         return {"when": "unknown time"} | found
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(

@@ -102,7 +102,9 @@ def _data(path: str | Path | bytes) -> bytes:
     try:
         return read_regular(path, most_picture_bytes())
     except (OSError, ValueError) as error:  # ValueError: a null character, as damaged labels may have
-        why = _listing_problem(path) if isinstance(error, IsADirectoryError) else None
+        why = None
+        if isinstance(error, IsADirectoryError):
+            why = _listing_problem(path) or "it is a folder: jaxfit.data.find_images lists the pictures in it"
         raise ImageError(f"{path}: cannot be read ({why or getattr(error, 'strerror', None) or error})") from error
 
 
@@ -351,9 +353,11 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
         recursive: take pictures in folders within the folders, too.
 
     Raises:
-        InputError: a path does not exist, nothing fits a pattern, a folder cannot be read or has no picture, or a file
-            is a video.
+        InputError: one path comes instead of a sequence, a path does not exist, nothing fits a pattern, a folder cannot
+            be read or has no picture, or a file is a video.
     """
+    if isinstance(paths, str | os.PathLike):
+        raise InputError(f"expected a sequence of files, folders and patterns, got {str(paths)!r}; put it in a list")
     found: list[Path] = []
     for path in map(Path, paths):
         matches = [path] if os.path.exists(path) else sorted(map(Path, _matches(str(path))))
@@ -442,7 +446,8 @@ def _pictures_in(folder: Path, recursive: bool) -> list[Path]:
 
 def _is_picture(path: Path) -> bool:
     """Whether a file of a folder is a picture, or should be one: its name says so, or how it begins."""
-    if path.suffix.lower() in READABLE_SUFFIXES:  # whatever it is: links to nothing, and to devices, are reported
+    # Whatever they are: links to nothing, devices and camera raw files are reported.
+    if path.suffix.lower() in (*READABLE_SUFFIXES, *_RAW_SUFFIXES):
         return True
     if not os.path.isfile(path):  # a look at a pipe would take what is in it, or wait for ever
         return False
@@ -450,7 +455,7 @@ def _is_picture(path: Path) -> bool:
         with open_regular(path) as file:
             return looks_like_picture(file.read(BEGINNING))
     except OSError:
-        return path.suffix.lower() in _RAW_SUFFIXES
+        return False
 
 
 def _listing_problem(folder: str | Path) -> str | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 import pytest
-from exif_files import TURNS
+from exif_files import TURNS, oriented, with_segment
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -68,6 +68,14 @@ def test_other_files_promise_nothing(data: bytes) -> None:
 def test_damaged_headers_raise_nothing(way: tuple, kept: int, noise: bytes) -> None:
     size = stored_size(encoded(*way, (9, 9, 3))[:kept] + noise)
     assert size is None or min(size) >= 0
+
+
+@pytest.mark.parametrize("first", [b"Exif\0\0", b"Exif\0\0junk" + bytes(9), b"http://ns.adobe.com/xmp/" + bytes(65000)])
+def test_exif_data_may_stand_behind_other_segments(first: bytes) -> None:
+    jpeg = cv2.imencode(".jpg", np.zeros((8, 24, 3), np.uint8))[1].tobytes()
+    data = with_segment(with_segment(oriented(jpeg, 6), first), first)
+    assert exif_orientation(data) == 6
+    assert decode_image(data).shape == (24, 8, 3)
 
 
 def _exif_of(orientation: int, order: str) -> bytes:

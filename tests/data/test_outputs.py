@@ -1,7 +1,9 @@
 """Files appear whole or not at all."""
 
+import json
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -77,6 +79,18 @@ def test_a_folder_belongs_to_the_command_that_wrote_to_it(tmp_path):
     assert not (tmp_path / "films").exists()
     with pytest.raises(InputError, match=r"holds results of `jaxfit track` of 20.*use another --out"):
         require_own_folder(tmp_path, "jaxfit evaluate")
+
+
+@pytest.mark.parametrize("name", ["../kept.txt", "link/kept.txt", "folder", ".", "", "nothing", "a" * 300, "\0"])
+def test_what_a_manifest_of_anyone_lists_is_removed_only_in_its_folder(tmp_path: Path, name: str) -> None:
+    kept, out = tmp_path / "kept.txt", tmp_path / "out"
+    kept.write_text("kept")
+    (out / "folder").mkdir(parents=True)
+    (out / "link").symlink_to(tmp_path)
+    (out / "manifest.json").write_text(json.dumps({"command": "jaxfit fit", "files": [name]}))
+    replace_results(out, "jaxfit fit", [], {})
+    assert kept.exists()
+    assert (out / "folder").is_dir()
 
 
 def test_text_is_valid_utf_8_whatever_names_are_in_it(tmp_path):

@@ -185,7 +185,7 @@ def test_files_that_cannot_be_opened(tmp_path):
         read_image(tmp_path / "none.jpg")
     with pytest.raises(ImageError, match="null"):
         read_image(tmp_path / "a\0.jpg")
-    with pytest.raises(ImageError, match="directory"):
+    with pytest.raises(ImageError, match="it is a folder: jaxfit.data.find_images"):
         read_image(tmp_path)
 
 
@@ -339,6 +339,10 @@ def test_what_looks_like_a_picture_is_found_whatever_its_name(tmp_path, rgb):
     (tmp_path / "a.jfif").write_bytes(encoded(rgb))
     begun = {
         "raw.dng": b"II*\0",
+        "raw.cr3": b"\0\0\0\x18ftypcrx ",
+        "big": b"II+\0\x08\0",
+        "map": b"P7\nWIDTH 3\n",
+        "floats": b"PF\n3 3\n",
         "new": b"\0\0\0\x0cJXL \r\n",
         "phone": b"\0\0\0\x18ftypmif1\0\0\0\0heic",
         "torn": b"\xff\xd8\xff",
