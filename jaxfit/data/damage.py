@@ -17,6 +17,13 @@ _LINE = re.compile(
 _DAMAGE = re.compile(rb"premature end|Premature end|bad Huffman|bad arithmetic|instead of RST|Inconsistent progression")
 
 
+def _in_memory() -> IO[bytes]:
+    """A file that is on no disk, where the system has such files."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("jaxfit"), "w+b", buffering=0)
+    return tempfile.TemporaryFile(buffering=0)
+
+
 class _Listener:
     """Reads the standard error of the process while pictures are decoded, in however many threads.
 
@@ -54,6 +61,8 @@ class _Listener:
             decoded = decode()
         finally:
             with self._turn:
+                if self._inside == 1 and self._error is not None:
+                    os.dup2(self._error, 2)  # first: what others print until then is passed on
                 self._pass_on()
                 lines = self._lines[before:]
                 self._inside -= 1
@@ -70,7 +79,7 @@ class _Listener:
         except OSError:  # it is closed
             return
         try:
-            self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - until the last picture is decoded
+            self._file = _in_memory()
             os.dup2(self._file.fileno(), 2)
         except OSError:  # a full disk: the decoders' lines are seen on the terminal, and nowhere else
             self._end()
@@ -83,7 +92,9 @@ class _Listener:
         if at == self._passed:
             return
         said = os.pread(self._file.fileno(), at - self._passed, self._passed)
-        self._passed = at
+        if self._inside > 1:  # others are still decoding, and may be in the middle of a line
+            said = said[: said.rfind(b"\n") + 1]
+        self._passed += len(said)
         self._lines += [
             line[0].decode(errors="replace").strip() for line in _LINE.finditer(said) if _DAMAGE.search(line[0])
         ]

@@ -10,19 +10,18 @@ from jaxfit.data.pictures import to_grey
 from jaxfit.errors import ImageError
 
 _BYTES = 8  # that any two of a million pictures share a digest has a chance of 1 in 37 million
-_EVERY = 4  # row and column is looked at: enough to tell pictures apart, and far faster than decoding
 
 Digests = np.ndarray  # (N,) uint64, sorted, each once
 
 
 def picture_digest(grey: np.ndarray) -> int:
-    """The digest of a grey picture, uint8 (H, W): of its shape and a sixteenth of its pixels.
+    """The digest of a grey picture, uint8 (H, W): of its shape and pixels.
 
     Copies with the same grey pixels have the same. Others have another: what was shrunk, cut or stored as JPEG again,
     and a JPEG in colour stored as PNG, as its grey pixels are then computed from its colours.
     """
     digest = hashlib.blake2b(repr(grey.shape).encode(), digest_size=_BYTES)
-    digest.update(np.ascontiguousarray(grey[::_EVERY, ::_EVERY]).data)
+    digest.update(np.ascontiguousarray(grey).data)
     return int.from_bytes(digest.digest(), "little")
 
 

@@ -185,7 +185,7 @@ def test_files_that_cannot_be_opened(tmp_path):
         read_image(tmp_path / "none.jpg")
     with pytest.raises(ImageError, match="null"):
         read_image(tmp_path / "a\0.jpg")
-    with pytest.raises(ImageError, match="it is a folder: jaxfit.data.find_images"):
+    with pytest.raises(ImageError, match=r"it is a folder: jaxfit\.data\.find_images"):
         read_image(tmp_path)
 
 

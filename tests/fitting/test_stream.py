@@ -340,6 +340,8 @@ def test_interrupted_fits_leave_no_threads(model: Model) -> None:
     before, images = set(threading.enumerate()), [Path(str(number)) for number in range(3000)]
     with pytest.raises(KeyboardInterrupt):
         jaxfit.fit(model, images, [BOX] * 3000, read=read, progress=interrupt)
+    for thread in {*threading.enumerate()} - before:  # which are not waited for, and end by themselves
+        thread.join(30)
     assert set(threading.enumerate()) <= before
     assert 0 < len(begun) <= (reading_threads(3000) + 2) * BATCHES[0]
 

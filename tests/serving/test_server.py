@@ -409,8 +409,9 @@ def test_nothing_is_written(
     opened: list[object] = []
 
     def watch(event: str, arguments: tuple) -> None:
-        if event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR):
-            opened.append(arguments[0])
+        # A number is that of a file that is open already, and in memory.
+        if event == "open" and isinstance(arguments[2], int) and not isinstance(arguments[0], int):
+            opened.extend([arguments[0]] if arguments[2] & (os.O_WRONLY | os.O_RDWR) else [])
 
     sys.addaudithook(lambda event, arguments: watch(event, arguments) if listening else None)
     listening = True

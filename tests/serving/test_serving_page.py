@@ -157,7 +157,11 @@ def test_several_faces_and_how_sure_the_model_is(
         def answer(route: Any) -> None:
             found = route.fetch().json()
             (face,) = found["faces"]
-            moved = face | {"landmarks": [[x + 150, y + 40] for x, y in face["landmarks"]], "confidence": 0.314}
+            moved = face | {
+                "landmarks": [[x + 150, y + 40] for x, y in face["landmarks"]],
+                "confidence": 0.314,
+                "ok": False,
+            }
             route.fulfill(json=found | {"faces": [face | {"confidence": 0.987}, moved]})
 
         page.route("**/fit?*", answer)
