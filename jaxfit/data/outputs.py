@@ -51,7 +51,7 @@ def require_own_folder(folder: str | Path, command: str) -> None:
 
 def results_in(folder: str | Path) -> list[str]:
     """The files of a folder of results that its manifest lists, by their paths in it; none if there is no manifest, or
-    a damaged one. What is not there, or is in another folder, links included, is left out."""
+    a damaged one. What is in another folder, links included, is left out."""
     try:
         listed = (_manifest(Path(folder)) or {"files": []})["files"]
     except InputError:
@@ -62,7 +62,7 @@ def results_in(folder: str | Path) -> list[str]:
 def _is_file_in(folder: Path, name: str) -> bool:
     try:
         path = folder / name
-        return path.is_file() and path.parent.resolve().is_relative_to(folder.resolve())
+        return not path.is_dir() and path.parent.resolve().is_relative_to(folder.resolve())
     except (OSError, ValueError):
         return False
 
