@@ -62,7 +62,7 @@ def results_in(folder: str | Path) -> list[str]:
 def _is_file_in(folder: Path, name: str) -> bool:
     try:
         path = folder / name
-        return not path.is_dir() and path.parent.resolve().is_relative_to(folder.resolve())
+        return "\0" not in name and not path.is_dir() and path.parent.resolve().is_relative_to(folder.resolve())
     except (OSError, ValueError):
         return False
 
