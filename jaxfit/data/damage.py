@@ -68,7 +68,7 @@ class _Listener:
                 self._inside -= 1
                 self._alone = self._alone and not alone
                 if not self._inside:
-                    self._end()
+                    self._close()
                 self._turn.notify_all()
         return decoded, lines[0] if lines else ""
 
@@ -82,7 +82,7 @@ class _Listener:
             self._file = _in_memory()
             os.dup2(self._file.fileno(), 2)
         except OSError:  # a full disk: the decoders' lines are seen on the terminal, and nowhere else
-            self._end()
+            self._close()
 
     def _pass_on(self) -> None:
         """Note what decoders have said, and print the rest."""
@@ -102,9 +102,8 @@ class _Listener:
         while rest:
             rest = rest[os.write(self._error, rest) :]
 
-    def _end(self) -> None:
+    def _close(self) -> None:
         if self._error is not None:
-            os.dup2(self._error, 2)
             os.close(self._error)
         if self._file is not None:
             self._file.close()

@@ -125,6 +125,11 @@ def jpeg_markers(data: bytes) -> Iterator[tuple[int, int]]:
         at = found.end() + int.from_bytes(data[found.end() : found.end() + 2])
 
 
+def has_jpeg_header(data: bytes) -> bool:
+    """Whether a file's beginning holds all that stands before the pixels of a JPEG picture."""
+    return data.startswith(JPEG) and any(marker == START_OF_SCAN for marker, _ in jpeg_markers(data))
+
+
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     for marker, at in jpeg_markers(data):
         if marker in _START_OF_FRAME:

@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import IO, Any, Literal
 
@@ -56,15 +57,20 @@ def results_in(folder: str | Path) -> list[str]:
         listed = (_manifest(Path(folder)) or {"files": []})["files"]
     except InputError:
         return []
-    return [name for name in listed if _is_file_in(Path(folder), name)]
+    folder = Path(folder)
+    top = folder.resolve()
 
+    @cache  # many files are in one folder
+    def is_within(parent: Path) -> bool:
+        return parent.resolve().is_relative_to(top)
 
-def _is_file_in(folder: Path, name: str) -> bool:
-    try:
-        path = folder / name
-        return "\0" not in name and not path.is_dir() and path.parent.resolve().is_relative_to(folder.resolve())
-    except (OSError, ValueError):
-        return False
+    def is_own(name: str) -> bool:
+        try:
+            return "\0" not in name and is_within((folder / name).parent) and not (folder / name).is_dir()
+        except (OSError, ValueError):
+            return False
+
+    return [name for name in listed if is_own(name)]
 
 
 def replace_results(

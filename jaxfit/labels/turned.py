@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import exif_orientation
-from jaxfit.data.inputs import read_regular
+from jaxfit.data.headers import exif_orientation, has_jpeg_header
+from jaxfit.data.inputs import open_regular
 from jaxfit.data.limits import most_picture_bytes
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.scheme import Scheme
 
+_HEAD = 1 << 16  # bytes of a picture that are read first: most JPEG files say by then how they are turned
 _MIRRORED, _SIDEWAYS = (2, 4, 5, 7), (5, 6, 7, 8)
 _NAMED = 3  # pictures that a notice names
 
@@ -27,7 +28,9 @@ def turned_pictures(pictures: Iterable[Path]) -> dict[Path, int]:
     turned = {}
     for picture in dict.fromkeys(pictures):
         try:
-            orientation = exif_orientation(read_regular(picture, most_picture_bytes()))
+            with open_regular(picture, most_picture_bytes()) as file:
+                head = file.read(_HEAD)
+                orientation = exif_orientation(head if has_jpeg_header(head) else head + file.read())
         except (OSError, ValueError):  # whoever needs the picture says so
             continue
         if orientation != 1:

@@ -1,6 +1,5 @@
 """Fitting a folder of pictures, however many, into tables, overlays and other formats; a stopped run goes on."""
 
-import hashlib
 import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -41,7 +40,7 @@ from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
-from jaxfit.runs.run_folder import RunFolder, file_digests, run_files
+from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files
 from jaxfit.schemes.scheme import Scheme
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
@@ -122,7 +121,7 @@ class FolderRun:
             "max_megapixels": most_megapixels(),
             **file_digests(self.model, self.files()),
             "pictures": len(pictures),
-            "pictures' names": _digest(names),
+            "pictures' names": digest(names),
         }
 
 
@@ -415,7 +414,3 @@ def _draw(
     )
     with closing(in_order(work, reading_threads(len(faces)))) as drawn:
         return list(chain.from_iterable(drawn))
-
-
-def _digest(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()[:16]

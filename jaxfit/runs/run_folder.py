@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,7 +60,7 @@ class RunFolder:
             raise InputError(f"{error}, or overwrite (--overwrite) to begin anew") from None
         of_run = json.dumps(settings, sort_keys=True)
         self._chunks = [
-            self._folder / f"{number:07}-{_digest(of_run, state_of(pictures))}.jsonl"
+            self._folder / f"{number:07}-{digest(f'{of_run} {state_of(pictures)}'.encode())}.jsonl"
             for number, pictures in enumerate(chunks)
         ]
         for path in {*self._folder.glob("*.jsonl")} - {*self._chunks}:  # of pictures that have changed
@@ -117,8 +116,9 @@ def file_digests(model: str | Path, files: Mapping[str, Path]) -> dict[str, str]
     contents = {kind: path.read_bytes() for kind, path in files.items()} | {
         "model": read_named(model, BUNDLED, "model")
     }
-    return {f"{kind} file": hashlib.sha256(data).hexdigest()[:16] for kind, data in contents.items()}
+    return {f"{kind} file": digest(data) for kind, data in contents.items()}
 
 
-def _digest(*parts: str) -> str:
-    return hashlib.sha256(os.fsencode("\0".join(parts))).hexdigest()[:16]
+def digest(data: bytes) -> str:
+    """What settings and chunks are known by: 16 letters, others for other data."""
+    return hashlib.sha256(data).hexdigest()[:16]
