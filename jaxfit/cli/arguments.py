@@ -18,6 +18,7 @@ from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
 from jaxfit.fitting.given_boxes import read_known_boxes
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
 from jaxfit.labels.datasets import shared_scheme as shared_scheme
@@ -187,6 +188,15 @@ def given_starts(arguments: argparse.Namespace) -> Starts:
         InputError: there are none, or two; or no range.
     """
     return Starts(arguments.starts, *arguments.rotations)
+
+
+def given_fitting(arguments: argparse.Namespace) -> Fitting:
+    """How the options of `add_detector` and `add_starts` say that faces are found and fitted.
+
+    Raises:
+        InputError: a number out of range.
+    """
+    return Fitting(arguments.detector, given_search(arguments), given_starts(arguments))
 
 
 def add_refine(command: argparse.ArgumentParser) -> None:

@@ -27,7 +27,7 @@ from jaxfit.cli.arguments import (
 from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
-from jaxfit.data.detectors import Search, detector_named
+from jaxfit.data.detectors import Search, all_rough, detector_named
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
 from jaxfit.data.names import plain, table_path, table_word
@@ -46,9 +46,8 @@ from jaxfit.evaluation.evaluate import (
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_report, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
-from jaxfit.fitting.fit import passes_from, passes_from_boxes
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.fitting.refine import refine, require_refinable
-from jaxfit.fitting.stream import Pipeline
 from jaxfit.labels.datasets import convert_dataset, parse_spec
 from jaxfit.labels.records import Dataset
 from jaxfit.models.files import load
@@ -138,10 +137,10 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     require_no_inputs([folder / name for name in (*_WRITTEN, MANIFEST)], given)
     kinds = {dataset.spec: _box_kind(options, model, named, dataset) for dataset in datasets}
     if options.detector is not None:
-        passes = passes_from(detector_named(options.detector))
+        rough = detector_named(options.detector).rough
     else:
-        passes = passes_from_boxes(box.kind for boxes in (named or {}).values() for box in boxes)
-    pipeline = Pipeline(model, starts=starts, passes=passes, read=read_grey)
+        rough = all_rough(box.kind for boxes in (named or {}).values() for box in boxes)
+    pipeline = Fitting(starts=starts).pipeline_in_boxes(model, rough, read_grey)
     results: dict[str, Evaluation] = {}
     with Bars() as bars:
         for dataset, scheme in zip(datasets, schemes, strict=True):
@@ -177,7 +176,7 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
             "starts": starts.count,
             "rotations": [starts.low, starts.high],
             "refine": options.refine,
-            "passes": passes,
+            "passes": pipeline.passes,
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / _WRITTEN[1], _FACE_COLUMNS, _faces(results))

@@ -10,8 +10,7 @@ from jaxfit.cli.arguments import (
     add_refine,
     add_starts,
     add_unshift,
-    given_search,
-    given_starts,
+    given_fitting,
     given_unshift,
     untrained_starts,
     unused_rows,
@@ -68,16 +67,14 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no face was fitted at all."""
-    starts = given_starts(options)
+    fitting = given_fitting(options)
     how = FolderRun(
         out=options.out,
         model=options.model,
-        detector=options.detector,
-        search=given_search(options),
+        fitting=fitting,
         boxes=options.boxes,
         folders=tuple(path for path in options.pictures if Path(path).is_dir()),
         box_kind=options.box_kind,
-        starts=starts,
         unshift=options.unshift,
         refine=options.refine,
         formats=tuple(options.format),
@@ -97,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
             f"such as {report.left_out[0]}"
         )
     model = load(options.model)
-    problems = untrained_starts(options.model, model, starts) + given_unshift(options, model)
+    problems = untrained_starts(options.model, model, fitting.starts) + given_unshift(options, model)
     problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")

@@ -20,7 +20,8 @@ from jaxfit.evaluation.errors import nmed
 from jaxfit.fitting.find import find_faces
 from jaxfit.fitting.fit import fits_of_sources, sources_of
 from jaxfit.fitting.fits import Fits, Problem
-from jaxfit.fitting.stream import Pipeline, Progress, batches_of, compile_batches
+from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.stream import Progress, batches_of, compile_batches
 from jaxfit.labels.aligned import with_depth
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.digests import DigestingReader
@@ -219,7 +220,7 @@ def evaluate(
     scheme: Scheme | None = None,
     normaliser: str | None = None,
     starts: Starts = Starts(),
-    passes: int = 1,
+    passes: int | None = None,
     read: Read = read_grey,
     progress: Progress = lambda stage, done, total: None,
 ) -> Evaluation:
@@ -247,7 +248,7 @@ def evaluate(
         ProcessError: another of the processes ended.
     """
     require_measurable(model.scheme, scheme or model.scheme, normaliser, faces)
-    pipeline = Pipeline(model, starts=starts, passes=passes, read=read)
+    pipeline = Fitting(starts=starts, passes=passes).pipeline_in_boxes(model, read=read)
     fits, seconds, learned = fit_labelled(pipeline, faces, boxes, kind=kind, rotations=rotations, progress=progress)
     how: dict[str, Any] = {"seconds_per_face": seconds, "learned": learned}
     return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, **how)

@@ -11,7 +11,8 @@ from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of, sources_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Pipeline, Source, cut_source
+from jaxfit.fitting.pipeline import Pipeline
+from jaxfit.fitting.stream import Source, cut_source
 from jaxfit.models.model import SQUARE, Model
 
 _TOGETHER = 16  # pictures that a thread cuts before it hands them on

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, finder_of
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
 from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
@@ -54,7 +54,7 @@ def find_faces(
         InputError: there is no such detector, or one picture comes instead of a sequence.
     """
     images = several(images)
-    finder = finder_of(detector, search)
+    finder = detector_named(detector, search)
     sources = [Source(image, name_of(image)) for image in images]
 
     def found_in(source: Source) -> Seen:

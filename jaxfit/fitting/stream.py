@@ -11,7 +11,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from threading import Lock, Semaphore
@@ -24,15 +23,15 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import find
 from jaxfit.cascade.model import Cascade
-from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_problem
 from jaxfit.data.crops import Crop, Crops, cut_face
 from jaxfit.data.detectors import Detector
 from jaxfit.data.limits import counted_together
 from jaxfit.data.pictures import Image, Read, pixels, read_grey, read_image, to_eight_bits, to_grey
 from jaxfit.data.threads import cores, in_order, reading_threads
-from jaxfit.errors import ImageError, InputError
+from jaxfit.errors import ImageError
 from jaxfit.fitting.fits import Fits, Problem
+from jaxfit.fitting.pipeline import Pipeline
 from jaxfit.models.model import Model
 from jaxfit.modes import computing
 from jaxfit.shapes.pose_order import turned_poses
@@ -66,37 +65,6 @@ class Source(NamedTuple):
     boxes: np.ndarray | None = None
     kinds: tuple[str, ...] = ()
     rotations: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class Pipeline:
-    """How pictures are fitted.
-
-    Attributes:
-        model: from ``jaxfit.load``.
-        detector: finds the faces of pictures that come without boxes; None where all have them.
-        starts: of each face.
-        passes: how often the cascade is run, each time from where the pass before found the face.
-        read: makes an array of a picture's file, or of its bytes; None turns pictures upright as their EXIF data say,
-            and reads colours only if the detector looks at them.
-
-    Raises:
-        InputError: no passes, or a detector whose boxes the model does not know.
-    """
-
-    model: Model
-    detector: Detector | None = None
-    starts: Starts = field(default_factory=Starts)
-    passes: int = 1
-    read: Read | None = None
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.model, Model):
-            raise InputError(f"expected a model, as jaxfit.load gives it; got {self.model!r:.60}")
-        if self.passes < 1:
-            raise InputError(f"expected at least one pass of the cascade; got {self.passes}")
-        for kind in () if self.detector is None else self.detector.kinds:
-            self.model.placement(kind)
 
 
 def stream(

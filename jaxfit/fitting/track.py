@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, finder_of
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, detector_named
 from jaxfit.data.detectors.detector import holds, overlap
 from jaxfit.data.pictures import Images, Pixels, require_several, to_eight_bits, to_grey
 from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
@@ -99,7 +99,8 @@ def track(
         raise InputError(f"expected a frame rate above 0 a second; got {frame_rate}")
     if not isinstance(frames, str | Path | int | Video):
         require_several(frames)
-    tracker = Tracker(model, detector, search=search, redetect_every=redetect_every, smoothing=smoothing)
+    finder = detector_named(detector, search)
+    tracker = Tracker(model, finder, redetect_every=redetect_every, smoothing=smoothing)
     # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
     opened = Video(frames) if isinstance(frames, str | Path | int) else frames
     return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
@@ -206,7 +207,7 @@ class Tracker:
         self.model = model
         self.smoothing = smoothing
         self.redetect_every = redetect_every
-        self._detect = finder_of(detector, search)
+        self._detect = detector_named(detector, search)
         for kind in self._detect.kinds:
             model.placement(kind)
         self._tracks: list[_Track] = []  # oldest first

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
+from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs, state_of
 from jaxfit.data.locks import held
 from jaxfit.data.names import table_path
@@ -103,7 +104,7 @@ def _fit_held(
     written = ["settings.json", "manifest.parquet"]  # and the parts
     require_no_inputs(
         [*(out / name for name in (*written, MANIFEST)), *parts.iterdir()],
-        [*wanted, *run_files(fitter.model, fitter.detector).values()],
+        [*wanted, *run_files(fitter.model, fitter.fitting).values()],
     )
     settings = _settings(fitter)
     require_same_settings(out / "settings.json", settings)
@@ -141,14 +142,15 @@ def _require_ray() -> None:
 
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
-    settings = {name: value for name, value in vars(fitter).items() if name != "cores"}
-    settings |= {
-        "starts": vars(fitter.starts),
-        "search": vars(fitter.search),
+    return {
+        "jaxfit": jaxfit.__version__,
         "model": str(fitter.model),
-        **file_digests(fitter.model, run_files(fitter.model, fitter.detector)),
+        **fitter.fitting.settings(),
+        "detector": fitter.fitting.detector or DEFAULT_DETECTOR,
+        "refine": fitter.refine,
+        "max_megapixels": fitter.max_megapixels,
+        **file_digests(fitter.model, run_files(fitter.model, fitter.fitting)),
     }
-    return {"jaxfit": jaxfit.__version__, **settings}
 
 
 def _fit_parts(

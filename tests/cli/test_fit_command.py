@@ -9,6 +9,7 @@ from csv_files import labelled_box, read_csv, write_boxes
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.cli.main import main
+from jaxfit.fitting import Fitting
 from jaxfit.runs import FolderReport, FolderRun
 from jaxfit.runs.folder import Unfit
 
@@ -65,13 +66,13 @@ def test_options_make_a_run(asked: list[tuple[FolderRun, list[Path]]], drawn: Pa
         usual,
         replace(
             usual,
-            detector="whole",
+            fitting=Fitting("whole"),
             formats=("coco", "csv"),
             overlays=False,
             contact_sheet=True,
             overwrite=True,
         ),
-        replace(usual, boxes="b.csv", box_kind="dlib", starts=Starts(5, -30.0, 40.0), refine=True),
+        replace(usual, boxes="b.csv", box_kind="dlib", fitting=Fitting(starts=Starts(5, -30.0, 40.0)), refine=True),
     ]
 
 

@@ -1,6 +1,6 @@
 """Face detectors by the names that the command line and ``jaxfit.fit`` know."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, Search, best_match
 from jaxfit.data.detectors.dlib_hog import KIND as DLIB
@@ -15,14 +15,13 @@ from jaxfit.errors import InputError
 __all__ = [
     "DEFAULT_DETECTOR",
     "DETECTORS",
-    "ROUGH_KINDS",
     "Detection",
     "Detector",
     "Search",
+    "all_rough",
     "best_match",
     "detect_faces",
     "detector_named",
-    "finder_of",
 ]
 
 DEFAULT_DETECTOR = "yunet"
@@ -39,39 +38,38 @@ ROUGH_KINDS = frozenset((FRONTAL, PROFILE, DLIB, WHOLE))
 OF_FILES: dict[str, Callable[[Search, str], Detector]] = {"yunet": YuNet}
 
 
-def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> Detector:
-    """The detector that ``spec`` names: ``yunet``, ``yunet:FILE.onnx``, ``haar``, ``dlib`` or ``whole``.
+def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: Search = Search()) -> Detector:
+    """The detector of a name: ``yunet``, ``yunet:FILE.onnx``, ``haar``, ``dlib`` or ``whole``.
 
     Args:
-        spec: its name.
+        detector: its name, None for the default one; a detector of your own is given back as it is.
         search: how faces are looked for.
 
     Raises:
-        InputError: there is none of this name, its file is missing or damaged, or what it needs is not installed.
+        InputError: there is none of this name, its file is missing or damaged, what it needs is not installed; or a
+            search for a detector that does not come by name.
     """
+    if not isinstance(detector, str | None):
+        if search != Search():
+            raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
+        return detector
+    spec = detector or DEFAULT_DETECTOR
     name, _, path = spec.partition(":")
     if name in OF_FILES and path:
-        detector = OF_FILES[name](search, path)
+        found = OF_FILES[name](search, path)
     elif name in DETECTORS and not path:
-        detector = DETECTORS[name](search)
+        found = DETECTORS[name](search)
     else:
         known = [*DETECTORS, *(f"{of_file}:FILE" for of_file in OF_FILES)]
         raise InputError(f"expected a detector among {', '.join(known)}; got {spec!r}")
     # YuNet does it by itself, in less time.
-    return AnyRotation(detector) if search.any_rotation and not isinstance(detector, YuNet) else detector
+    return AnyRotation(found) if search.any_rotation and not isinstance(found, YuNet) else found
 
 
-def finder_of(detector: str | Detector | None, search: Search = Search()) -> Detector:
-    """A detector of one's own, or the one of this name; None is the default one.
-
-    Raises:
-        InputError: as `detector_named`; or a search for a detector that does not come by name.
-    """
-    if isinstance(detector, str | None):
-        return detector_named(detector or DEFAULT_DETECTOR, search)
-    if search != Search():
-        raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
-    return detector
+def all_rough(kinds: Iterable[str]) -> bool:
+    """Whether boxes of these kinds are all those of rough detectors (`Detector.rough`); without any they are not."""
+    kinds = {*kinds}
+    return bool(kinds) and kinds <= ROUGH_KINDS
 
 
 def detect_faces(
@@ -87,7 +85,7 @@ def detect_faces(
         search: how faces are looked for, by detectors that come by name.
 
     Raises:
-        InputError: as `finder_of`.
+        InputError: as `detector_named`.
         ImageError: the image is none of these.
     """
-    return finder_of(detector, search)(to_eight_bits(image))
+    return detector_named(detector, search)(to_eight_bits(image))
