@@ -10,7 +10,7 @@ from typing import Any
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox
-from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
+from jaxfit.data.detectors import Search, box_kinds, detector_specs
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS
 from jaxfit.data.numbers import whole_number
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
@@ -108,14 +108,14 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     command.add_argument(
         "--box-kind",
         metavar="KIND",
-        help="what drew the boxes of FILE.csv: square (around the landmarks), haar-frontal, haar-profile, dlib, yunet, "
-        "whole; by default what its column box says, or square",
+        help=f"what drew the boxes of FILE.csv: square (around the landmarks), {', '.join(box_kinds())}; by default "
+        "what its column box says, or square",
     )
 
 
 def add_detector(command: argparse.ArgumentParser, about: str) -> None:
     """``--detector SPEC``, and how faces are looked for: ``--smallest``, ``--score`` and ``--any-rotation``."""
-    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {known_detectors()}")
+    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {', '.join(detector_specs())}")
     command.add_argument(
         "--smallest",
         type=float,
@@ -142,11 +142,6 @@ def given_search(arguments: argparse.Namespace) -> Search:
         InputError: a number out of range.
     """
     return Search(arguments.smallest, arguments.score, arguments.any_rotation)
-
-
-def known_detectors() -> str:
-    """What ``--detector`` takes, in words."""
-    return ", ".join([*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)])
 
 
 def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[GivenBox]] | None:
