@@ -21,14 +21,12 @@ from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.processes import by_first, gathered, total
 from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.types import Point, Scalar
+from jaxfit.types import Point, Progress, Scalar, silent
 
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
 _BATCH = 2048
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
 _PCA_SAMPLES = 3072
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ def train_cascade(
     *,
     turn: float = 0.0,
     axes: SharedAxes | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Cascade:
     """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
 

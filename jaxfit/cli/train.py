@@ -22,7 +22,6 @@ from jaxfit.data.pictures import GreyPictures, Read, read_grey
 from jaxfit.evaluation.evaluate import evaluate, start_boxes
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import text_table
-from jaxfit.fitting.stream import Progress
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.choose import OPTIONS, Chosen, choose_options
@@ -33,6 +32,7 @@ from jaxfit.models.files import SUFFIX, save
 from jaxfit.models.model import Model
 from jaxfit.processes import is_first, require_alone
 from jaxfit.schemes.normalisers import NORMALISERS
+from jaxfit.types import Progress
 
 _MEASURED = 256  # faces at most whose errors are told in the end
 

@@ -21,7 +21,7 @@ from jaxfit.fitting.find import find_faces
 from jaxfit.fitting.fit import fits_of_sources, sources_of
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.fitting.pipeline import Fitting, Pipeline
-from jaxfit.fitting.stream import Progress, batches_of, compile_batches
+from jaxfit.fitting.stream import batches_of, compile_batches
 from jaxfit.labels.aligned import with_depth
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.digests import DigestingReader
@@ -31,6 +31,7 @@ from jaxfit.schemes.conversions import convert, sources
 from jaxfit.schemes.normalisers import default_normaliser, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.pose_order import in_order
+from jaxfit.types import Progress, silent
 
 _NO_BOX = np.full(4, np.nan)
 _WIDE = 45.0  # degrees of yaw: of a head that is turned further, the outer eye corners come together
@@ -125,7 +126,7 @@ def detected_boxes(
     faces: Sequence[FaceRecord],
     detector: str | Detector,
     search: Search = Search(),
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """The boxes (N, 4) in which a detector finds labelled faces, their kinds, and their rotations (N,) in degrees; NaN,
     squares and 0 where it does not.
@@ -222,7 +223,7 @@ def evaluate(
     starts: Starts = Starts(),
     passes: int | None = None,
     read: Read = read_grey,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors: `fit_labelled`, then `measure`.
 
@@ -261,7 +262,7 @@ def evaluate_steps(
     *,
     normaliser: str | None = None,
     read: Read = read_grey,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> list[Evaluation]:
     """What `evaluate` gives, with the same arguments, for the model's first step alone, its first two, and so on."""
     counts = range(1, len(model.cascade.weights) + 1)
@@ -304,7 +305,7 @@ def fit_labelled(
     *,
     kind: str | Sequence[str] = SQUARE,
     rotations: np.ndarray | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> tuple[Fits, float, np.ndarray | None]:
     """The fits of labelled faces, a row each, the seconds that a face took, and (N,) bool, which pictures the model
     learned from, None if it does not say; joined processes share the pictures.

@@ -17,8 +17,8 @@ from jaxfit.errors import InputError, JaxfitError
 from jaxfit.experiments.config import Config
 from jaxfit.experiments.experiment import Experiment
 from jaxfit.experiments.tasks import GridTask, PoseModelTask, Task, plan_tasks
-from jaxfit.fitting.stream import Progress
 from jaxfit.models.files import load
+from jaxfit.types import Progress, silent
 
 # Seconds between looks at what other processes do.
 _PATIENCE = 2.0
@@ -51,7 +51,7 @@ class Status:
 def run_experiment(
     config: Config,
     folder: Path,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
     begun: Callable[[Task, Status], None] = lambda task, status: None,
 ) -> None:
     """Do all tasks of an experiment that are not done; several processes may do so at once, in the same folder.

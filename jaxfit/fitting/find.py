@@ -11,7 +11,8 @@ from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Progress, Seen, Source, see
+from jaxfit.fitting.stream import Seen, Source, see
+from jaxfit.types import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ def find_faces(
     *,
     search: Search = Search(),
     read: Read | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Found:
     """Look for faces in N pictures; one that cannot be used does not stop the others.
 

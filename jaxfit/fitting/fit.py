@@ -15,8 +15,9 @@ from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.pipeline import Fitting, Pipeline
-from jaxfit.fitting.stream import Progress, Source, batch_sizes, compile_batches, stream
+from jaxfit.fitting.stream import Source, batch_sizes, compile_batches, stream
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.types import Progress, silent
 
 
 def fit(
@@ -31,7 +32,7 @@ def fit(
     starts: Starts = Starts(),
     passes: int | None = None,
     read: Read | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Fits:
     """Find the landmarks of faces, and their 3D shapes and poses if the model knows of them.
 

@@ -36,6 +36,7 @@ from jaxfit.models.model import Model
 from jaxfit.modes import computing
 from jaxfit.shapes.pose_order import turned_poses
 from jaxfit.shapes.space import ShapeSpace3D
+from jaxfit.types import Progress, silent
 
 # Any number of faces is served by batches of these sizes, so that there are three compilations. Where there are several
 # devices there is one more: batches of the first size for each of them, all at once.
@@ -45,7 +46,6 @@ NO_BOX = "there is no face box"
 _MOST_AT_ONCE = 8  # batches that are computed at once; each holds a batch and its descriptors
 _FOUND_TOGETHER = 4  # pictures that a thread looks through before it hands them on
 
-Progress = Callable[[str, int, int], None]
 _Found = dict[str, np.ndarray]  # what is found in a batch, by its name in `Fits`
 
 
@@ -71,7 +71,7 @@ def stream(
     pipeline: Pipeline,
     groups: Iterable[Sequence[Source]],
     pictures: int,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Generator[Fits, None, None]:
     """The fits of each group of pictures, in order, while later groups are already looked through.
 

@@ -5,15 +5,14 @@ error after the last step, one option after the other, and what is given stays u
 than chance.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxfit.cascade.greedy import Progress, SharedAxes
-from jaxfit.data.pictures import GreyPictures
+from jaxfit.cascade.greedy import SharedAxes
+from jaxfit.data.pictures import GreyPictures, Read
 from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.evaluate import evaluate, start_boxes
@@ -27,6 +26,7 @@ from jaxfit.models.model import Model
 from jaxfit.modes import computing
 from jaxfit.schemes.normalisers import default_normaliser
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress, silent
 
 # What is chosen, in this order: the windows last, as other ones need principal axes of their own.
 OPTIONS = ("ridge", "variance", "spread", "windows")
@@ -104,8 +104,8 @@ def choose_options(
     options: Options = Options(),
     candidates: Mapping[str, Sequence[Any]] | None = None,
     folds: int = 3,
-    progress: Progress = lambda stage, done, total: None,
-    read: Callable[[Path], np.ndarray] | None = None,
+    progress: Progress = silent,
+    read: Read | None = None,
 ) -> Chosen:
     """Choose ridge, variance, spread and windows, one after the other, by the errors that cascades leave in the end on
     people that they did not learn from.

@@ -5,7 +5,7 @@ some of the people each, fit the others, and the confidence learns from those fi
 """
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,13 +21,12 @@ from jaxtyping import Array, Float
 
 from jaxfit.cascade.confidence import Clues, Confidence
 from jaxfit.cascade.fit import find_clues
-from jaxfit.cascade.greedy import Progress
 from jaxfit.cascade.regression import Projection, principal_axes
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import bounding_square, box_centre, jitter
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.detectors.detector import overlap
-from jaxfit.data.pictures import GreyPictures, to_grey
+from jaxfit.data.pictures import GreyPictures, Read, to_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
@@ -36,13 +35,13 @@ from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
-from jaxfit.learning.prepare import SILENT
 from jaxfit.learning.train import train
 from jaxfit.models.digests import union
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.modes import computing, mixing_types
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import mirrored
+from jaxfit.types import Progress, silent
 
 # How fits may begin. Boxes like a detector's are what a confidence is mostly for.
 DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN = (
@@ -66,8 +65,6 @@ _VARIANCE = 0.9
 _HIDDEN = 32
 # Of the network's training.
 _EPOCHS, _AT_ONCE, _RATE, _DECAY = 30, 256, 2e-3, 0.3
-
-_Read = Callable[[Path], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -105,8 +102,8 @@ def learn_confidence(
     folds: int = 3,
     seed: int = 0,
     head_model: str | Path | None = None,
-    read: _Read | None = None,
-    progress: Progress = SILENT,
+    read: Read | None = None,
+    progress: Progress = silent,
 ) -> Model:
     """The model with a confidence: the probability that a fit is good, its NMED (`default_normaliser`) below 0.08.
 
@@ -164,8 +161,8 @@ def sample_fits(
     faces: Sequence[FaceRecord],
     *,
     seed: int = 0,
-    read: _Read | None = None,
-    progress: Progress = SILENT,
+    read: Read | None = None,
+    progress: Progress = silent,
 ) -> SampledFits:
     """Fits of labelled faces from good and bad starts, and of what is no face; what the model says of them, and how
     good they are.
@@ -266,7 +263,7 @@ def _told(progress: Progress, before: str, stage: str, done: int, total: int) ->
     progress(before + stage, done, total)
 
 
-def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: _Read, progress: Progress) -> _Drawn:
+def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress) -> _Drawn:
     """Starts of each kind for all faces that are complete and can be read."""
     if other := next((face for face in faces if len(face.landmarks) != model.scheme.count), None):
         raise InputError(f"expected faces of {model.scheme.count} landmarks, as the model's; {other.image} has others")
@@ -389,7 +386,7 @@ def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
     """Principal axes of the descriptors of some fits."""
     chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_PCA_SAMPLES]
     some = _Drawn(*(part[chosen] for part in drawn))
-    _, features = _fitted(model, some, _Features(), SILENT, _PASSES[:1])
+    _, features = _fitted(model, some, _Features(), silent, _PASSES[:1])
     found = principal_axes(jnp.asarray(features[:_PCA_SAMPLES]), _VARIANCE)
     return Projection(found.mean, found.axes[:, :_MOST_AXES])
 

@@ -1,7 +1,7 @@
 """Fine-tuning a model on labelled faces: pictures to crops, people kept aside, then the whole cascade at once."""
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,23 @@ import numpy as np
 from jax import numpy as jnp
 from safetensors.numpy import load as parse_tensors
 
-from jaxfit.cascade.greedy import Progress, TrainingSet
+from jaxfit.cascade.greedy import TrainingSet
 from jaxfit.cascade.tuning import Progressed, Tuning, finetune_cascade
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.pictures import read_grey
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError, ModelError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.image.disturb import Disturbance
 from jaxfit.labels.lifting import Lifted, fill_labels
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
 from jaxfit.models.digests import digest_set, union
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.modes import computing
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import Scheme, mirror_order
+from jaxfit.types import Progress, silent
 
 _CHECKPOINT = "jaxfit-finetuning"
 _FORMAT = 2
@@ -60,8 +61,8 @@ def finetune(
     mirror: bool = True,
     head_model: str | Path = DEFAULT_HEAD_MODEL,
     checkpoint: str | Path | None = None,
-    progress: Progress = SILENT,
-    read: Callable[[Path], np.ndarray] = read_grey,
+    progress: Progress = silent,
+    read: Read = read_grey,
 ) -> Finetuned:
     """Tune all steps of a trained model together, by stochastic gradients of the error that they leave in the end.
 

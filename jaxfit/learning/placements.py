@@ -1,6 +1,6 @@
 """How faces lie in a new kind of box, measured on pictures with such boxes: no landmarks are needed."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
 from jaxfit.modes import computing
 from jaxfit.schemes.known import IBUG68, NO_LANDMARKS
+from jaxfit.types import Progress, silent
 
 _DETECTOR = "haar-frontal"
 # Measures the boxes of datasets without landmarks, and what models it can tell them to.
@@ -30,7 +31,7 @@ _FRONTAL = 15
 def calibrate_boxes(
     model: Model,
     faces: Sequence[FaceRecord],
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Placement:
     """How faces lie in the boxes of ``faces``, for ``model.placements`` under a name of yours.
 
@@ -57,9 +58,7 @@ class _Fitted(NamedTuple):
     landmarks: np.ndarray
 
 
-def _fitted_in_boxes(
-    model: Model, faces: Sequence[FaceRecord], progress: Callable[[str, int, int], None]
-) -> dict[int, _Fitted]:
+def _fitted_in_boxes(model: Model, faces: Sequence[FaceRecord], progress: Progress) -> dict[int, _Fitted]:
     """By number, the faces that the detector finds in their boxes, fitted."""
     model.placement(_DETECTOR)
     numbers, found, pictures = [], [], []
@@ -109,7 +108,7 @@ def evaluate_in_own_boxes(
     models: Mapping[str, Model],
     faces: Sequence[FaceRecord],
     calibrator: Model,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models from the boxes of a dataset that none of them knows, learning nothing from who is tested.
 
@@ -151,7 +150,7 @@ def evaluate_pose(
     models: Mapping[str, Model],
     dataset: Dataset,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models of 3D methods on faces with labelled poses: from the labels' squares, or, without landmarks,
     from the dataset's own boxes as `evaluate_in_own_boxes` does.

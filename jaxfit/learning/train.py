@@ -1,6 +1,6 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +9,15 @@ import jax
 import numpy as np
 
 from jaxfit import __version__
-from jaxfit.cascade.greedy import Progress, SharedAxes, train_cascade
+from jaxfit.cascade.greedy import SharedAxes, train_cascade
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.detectors import best_match, detector_named
-from jaxfit.data.pictures import read_grey
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options, camera_asm, method_named, view_of
-from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
 from jaxfit.models.digests import digest_set
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
@@ -25,6 +25,7 @@ from jaxfit.modes import computing
 from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.schemes.scheme import Scheme, mirror_order
 from jaxfit.shapes.points import mean_face
+from jaxfit.types import Progress, silent
 
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
@@ -56,8 +57,8 @@ def train(
     *,
     method: str = "sdm",
     options: Options = Options(),
-    progress: Progress = SILENT,
-    read: Callable[[Path], np.ndarray] = read_grey,
+    progress: Progress = silent,
+    read: Read = read_grey,
     axes: SharedAxes | None = None,
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.

@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -25,6 +25,7 @@ from jaxfit.fitting.stream import NO_FACE
 from jaxfit.models.files import bundled
 from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.runs.workers import BatchFitter
+from jaxfit.types import Progress, silent
 
 _COMMAND = "jaxfit collect"
 _STATES = "jaxfit pictures"  # metadata of a part: what its pictures were like
@@ -41,7 +42,7 @@ def fit_collection(
     workers: int | None = None,
     gpus: float = 0.0,
     part: int = 256,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, int]:
     """Find and fit the faces in a collection of pictures with workers of Ray Data; needs ``jaxfit[ray]``.
 
@@ -95,7 +96,7 @@ def _fit_held(
     workers: int | None,
     gpus: float,
     part: int,
-    progress: Callable[[str, int, int], None],
+    progress: Progress,
 ) -> dict[str, int]:
     """What `fit_collection` does, in a folder that no other run writes to."""
     require_own_folder(out, _COMMAND)

@@ -36,11 +36,12 @@ from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine, require_refinable
-from jaxfit.fitting.stream import Progress, Source, stream
+from jaxfit.fitting.stream import Source, stream
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress, silent
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
 _CHUNK = 256
@@ -150,9 +151,7 @@ class FolderReport:
     written: tuple[Path, ...]
 
 
-def fit_folder(
-    run: FolderRun, pictures: Sequence[str | Path], progress: Progress = lambda stage, done, total: None
-) -> FolderReport:
+def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progress = silent) -> FolderReport:
     """Fit pictures into a folder of results: tables and other formats, overlays, and ``problems.csv``.
 
     The folder is the run's own: ``manifest.json`` says what was written, by what and when, and files of an earlier run
