@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import jaxfit
-from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
-from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.datasets import parse_spec, read_datasets
 from jaxfit.learning.placements import calibrate_boxes, frontal
 from jaxfit.models.files import check_target
 

@@ -11,11 +11,12 @@ import numpy as np
 from report import Report, measure, save_figure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed, shared_scheme
+from jaxfit.cli.arguments import add_datasets, seed
 from jaxfit.cli.progress import Bars
 from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import auroc, reliability
 from jaxfit.evaluation.plots import new_figure, plot_reliability
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.learning.confidence import DETECTED, NO_FACES, SampledFits, sample_fits
 
 

@@ -9,7 +9,6 @@ from typing import Any
 
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox
 from jaxfit.data.detectors import Search, box_kinds, detector_specs
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS
 from jaxfit.data.numbers import whole_number
@@ -17,11 +16,8 @@ from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
-from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting
 from jaxfit.labels.datasets import FORMATS
-from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
-from jaxfit.labels.datasets import shared_scheme as shared_scheme
 from jaxfit.learning.methods import Options, default_descriptor
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import Model
@@ -142,19 +138,6 @@ def given_search(arguments: argparse.Namespace) -> Search:
         InputError: a number out of range.
     """
     return Search(arguments.smallest, arguments.score, arguments.any_rotation)
-
-
-def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[GivenBox]] | None:
-    """The boxes that ``--boxes`` names, by what the file calls the picture; None without it.
-
-    Raises:
-        InputError: the file is wrong, the model does not know the kind of box, or there is a kind but no file.
-    """
-    if arguments.boxes is None:
-        if arguments.box_kind is not None:
-            raise InputError(f"--box-kind {arguments.box_kind} says what drew the boxes of --boxes; give that file too")
-        return None
-    return read_known_boxes(arguments.boxes, arguments.box_kind, model)
 
 
 def unused_rows(names: Sequence[str]) -> str:

@@ -19,7 +19,8 @@ from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.pictures import GreyPictures, Read, read_grey
-from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import text_table
 from jaxfit.heads.model import load_head_model

@@ -14,8 +14,9 @@ import numpy as np
 from jaxfit.cascade.greedy import SharedAxes
 from jaxfit.data.pictures import GreyPictures, Read
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.curves import LIMIT
-from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.labels.records import FaceRecord

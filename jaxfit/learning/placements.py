@@ -9,7 +9,8 @@ import numpy as np
 from jaxfit.data.detectors import best_match, detect_faces
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
-from jaxfit.evaluation.evaluate import Evaluation, evaluate, start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.evaluation.evaluate import Evaluation, evaluate
 from jaxfit.fitting.fit import fit
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.files import load

@@ -302,14 +302,12 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | Non
     if run.min_confidence is not None and model.confidence is None:
         raise InputError("expected a model with a confidence, for a least confidence; this one has none")
     run.fitting.settings()  # which only detectors that come by name have
-    if run.boxes is None:
-        if run.box_kind is not None:
-            raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
-        return run.fitting.pipeline(model), None
-    run.fitting.require_given_boxes()
+    if run.boxes is not None:
+        run.fitting.require_given_boxes()
     named = read_known_boxes(run.boxes, run.box_kind, model)
-    rough = all_rough(box.kind for boxes in named.values() for box in boxes)
-    return run.fitting.pipeline_in_boxes(model, rough), named
+    if named is None:
+        return run.fitting.pipeline(model), None
+    return run.fitting.pipeline_in_boxes(model, all_rough(box.kind for boxes in named.values() for box in boxes)), named
 
 
 def _boxes_of(run: FolderRun, named: _NamedBoxes | None, files: Sequence[Path]) -> tuple[_Boxes | None, list[str]]:
