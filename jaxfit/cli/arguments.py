@@ -203,33 +203,42 @@ def add_head_model(command: argparse.ArgumentParser) -> None:
     )
 
 
+def seed(text: str) -> int:
+    """A seed on the command line: a whole number that is not negative."""
+    number = whole_number(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
+    return number
+
+
+# How the fields of `Greedy` are read; their defaults are its own.
+_GREEDY: dict[str, dict[str, Any]] = {
+    "windows": {
+        "type": float,
+        "nargs": "+",
+        "metavar": "SHARE",
+        "help": "side of the descriptor window as a share of the face's side, one number a step; the thesis's constant "
+        "is 32 / FACE for every step",
+    },
+    "augmentations": {"type": int, "help": "starts drawn a face"},
+    "variance": {"type": float, "help": "share kept by the features' PCA"},
+    "ridge": {"type": float, "help": "ridge strength; 0 is least squares"},
+    "rank": {
+        "type": int,
+        "help": "directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
+        "unless given, all",
+    },
+    "spread": {"type": float, "help": "factor on the spread of the starts"},
+    "seed": {"type": seed, "help": "same seed, machine and cores: same model"},
+}
+
+
 def add_training(command: argparse.ArgumentParser) -> None:
     """The options of training, whatever the method."""
-    command.add_argument(
-        "--windows",
-        type=float,
-        nargs="+",
-        default=list(_DEFAULT.greedy.windows),
-        metavar="SHARE",
-        help="side of the descriptor window as a share of the face's side, one number a step; "
-        "the thesis's constant is 32 / FACE for every step",
-    )
-    command.add_argument("--augmentations", type=int, default=_DEFAULT.greedy.augmentations, help="starts drawn a face")
-    command.add_argument(
-        "--variance", type=float, default=_DEFAULT.greedy.variance, help="share kept by the features' PCA"
-    )
-    command.add_argument(
-        "--ridge", type=float, default=_DEFAULT.greedy.ridge, help="ridge strength; 0 is least squares"
-    )
-    command.add_argument(
-        "--rank",
-        type=int,
-        help="directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
-        "unless given, all",
-    )
-    command.add_argument(
-        "--spread", type=float, default=_DEFAULT.greedy.spread, help="factor on the spread of the starts"
-    )
+    for name, words in _GREEDY.items():
+        usual = getattr(_DEFAULT.greedy, name)
+        default = list(usual) if isinstance(usual, tuple) else usual
+        command.add_argument(f"--{name}", default=default, **words)
     command.add_argument(
         "--shape-variance", type=float, default=_DEFAULT.shape_variance, help="share kept by the shape model's PCA"
     )
@@ -265,9 +274,6 @@ def add_training(command: argparse.ArgumentParser) -> None:
         type=float,
         metavar="PIXELS",
         help="by which labels lie right of and below what they mark, and the model's fits then too: 0 unless given",
-    )
-    command.add_argument(
-        "--seed", type=seed, default=_DEFAULT.greedy.seed, help="same seed, machine and cores: same model"
     )
 
 
@@ -310,6 +316,16 @@ def model_target(out: str) -> Path:
     return path
 
 
+def given_greedy(arguments: argparse.Namespace) -> Greedy:
+    """The options of how a cascade is learned.
+
+    Raises:
+        InputError: an option out of range.
+    """
+    given = {name: getattr(arguments, name) for name in _GREEDY}
+    return Greedy(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
+
+
 def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
     """The options of training that the command line gives; faces of unknown landmarks are not mirrored.
 
@@ -329,15 +345,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
             descriptor = replace(descriptor, **{name: choice})
     sides = {name: side for name in ("crop", "face", "shift") if (side := getattr(arguments, name)) is not None}
     return Options(
-        greedy=Greedy(
-            windows=tuple(arguments.windows),
-            augmentations=arguments.augmentations,
-            variance=arguments.variance,
-            ridge=arguments.ridge,
-            rank=arguments.rank,
-            spread=arguments.spread,
-            seed=arguments.seed,
-        ),
+        greedy=given_greedy(arguments),
         starts=starts,
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,
@@ -348,14 +356,6 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         descriptor=None if descriptor == usual else descriptor,
         frame=replace(descriptor.frame, **sides) if sides else None,
     )
-
-
-def seed(text: str) -> int:
-    """A seed on the command line: a whole number that is not negative."""
-    number = whole_number(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
-    return number
 
 
 def out_folder(path: str) -> Path:
