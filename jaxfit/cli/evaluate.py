@@ -19,7 +19,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.cli.together import add_processes
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
@@ -102,6 +102,9 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         *(face.image for dataset in datasets for face in dataset.faces),
     ]
     require_no_inputs([folder / name for name in (*_WRITTEN, MANIFEST)], given)
+    warn(untrained_starts(options.model, model, fitting.starts))
+    if plan.unused:
+        warn([f"{options.boxes}: {unused_rows(plan.unused)}"])
     with Bars() as bars:
         results = plan.evaluate(bars)
     if not is_first():
@@ -123,9 +126,7 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     write_csv(folder / _WRITTEN[1], FACE_COLUMNS, face_rows(results))
     replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)})
     report_problems(
-        untrained_starts(options.model, model, fitting.starts)
-        + ([f"{options.boxes}: {unused_rows(plan.unused)}"] if plan.unused else [])
-        + [problem for dataset in datasets for problem in dataset.problems]
+        [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
     _print_tables(results, solid=model.space_3d is not None)

@@ -15,7 +15,7 @@ from jaxfit.cli.arguments import (
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.pictures import find_images
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS
 from jaxfit.models.files import load
@@ -84,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     pictures = find_images(options.pictures, options.recursive)
+    model = load(options.model)
+    warn(untrained_starts(options.model, model, fitting.starts) + given_unshift(options, model))
     with Bars() as bars:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
@@ -93,9 +95,7 @@ def run(options: argparse.Namespace) -> int:
             f"left out: {len(report.left_out)} pictures that an earlier run wrote to {options.out}, "
             f"such as {report.left_out[0]}"
         )
-    model = load(options.model)
-    problems = untrained_starts(options.model, model, fitting.starts) + given_unshift(options, model)
-    problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
+    problems = [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")
     report_problems(problems)
