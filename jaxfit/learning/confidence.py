@@ -79,6 +79,7 @@ class SampledFits:
         faces: (N,) the number of each fit's face among those given.
         passes: (N,) how often the cascade was run: each start is fitted in one pass, and again in two.
         confidence: (N,) what the model says of each fit; NaN if it has no confidence.
+        problems: which pictures could not be read and why, a sentence each.
     """
 
     errors: np.ndarray
@@ -86,6 +87,7 @@ class SampledFits:
     faces: np.ndarray
     passes: np.ndarray
     confidence: np.ndarray
+    problems: tuple[str, ...] = ()
 
     @property
     def good(self) -> np.ndarray:
@@ -144,7 +146,7 @@ def learn_confidence(
             trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=told, read=read
         )
         pictures = union(pictures, trained.learned)
-        drawn = _drawn(trained, tested, seed, read, told)
+        drawn, _ = _drawn(trained, tested, seed, read, told)  # whoever trained the model knows what cannot be read
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
         sampled, clues = _fitted(trained, drawn, _Project(projection), told)
@@ -169,7 +171,8 @@ def sample_fits(
 
     Args:
         model: a model.
-        faces: labelled faces; those with missing landmarks, or whose pictures cannot be read, are left out.
+        faces: labelled faces; those with missing landmarks are left out, and those whose pictures cannot be read,
+            which are reported.
         seed: of the starts; a face has the same whatever other faces come with it.
         read: as in `learn_confidence`, like the next.
         progress: called with a stage's name, what is done and what there is to do.
@@ -178,9 +181,9 @@ def sample_fits(
         InputError: labels of another number of landmarks, or none that can be used.
     """
     confidence = model.confidence
-    drawn = _drawn(model, faces, seed, read or GreyPictures(), progress)
-    sampled, told = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
-    return replace(sampled, confidence=told.astype(np.float64))
+    drawn, problems = _drawn(model, faces, seed, read or GreyPictures(), progress)
+    sampled, said = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
+    return replace(sampled, confidence=said.astype(np.float64), problems=problems)
 
 
 def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str, Options]:
@@ -263,12 +266,15 @@ def _told(progress: Progress, before: str, stage: str, done: int, total: int) ->
     progress(before + stage, done, total)
 
 
-def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress) -> _Drawn:
-    """Starts of each kind for all faces that are complete and can be read."""
+def _drawn(
+    model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress
+) -> tuple[_Drawn, tuple[str, ...]]:
+    """Starts of each kind for all faces that are complete and can be read; and what could not be read and why."""
     if other := next((face for face in faces if len(face.landmarks) != model.scheme.count), None):
         raise InputError(f"expected faces of {model.scheme.count} landmarks, as the model's; {other.image} has others")
     frame, placement = model.cascade.frame, model.placement(SQUARE)
     crops, truths, starts, numbers = [], [], [], []
+    problems: list[str] = []
     crop = Crops.empty(1, frame)
     for number, face in enumerate(faces):
         progress("drawing starts", number, len(faces))
@@ -276,7 +282,8 @@ def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, pro
             continue
         try:
             upright = to_grey(read(face.image))
-        except ImageError:
+        except ImageError as error:
+            problems.append(str(error))
             continue
         rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
         for start in _OF_EACH_FACE:
@@ -301,7 +308,8 @@ def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, pro
     progress("drawing starts", len(faces), len(faces))
     if not crops:
         raise InputError("expected a face with all landmarks and a picture that can be read; got none")
-    return _Drawn(np.stack(crops), np.stack(truths), np.array(starts), np.array(numbers))
+    drawn = _Drawn(np.stack(crops), np.stack(truths), np.array(starts), np.array(numbers))
+    return drawn, tuple(dict.fromkeys(problems))
 
 
 def _box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:

@@ -74,7 +74,11 @@ def test_samples_tell_what_fits_tell(model, heads) -> None:
     some = samples.faces >= 5
     np.testing.assert_array_equal(again.starts, samples.starts[some])
     np.testing.assert_allclose(again.errors, samples.errors[some], rtol=1e-3)
-    assert np.isnan(sample_fits(replace(model, confidence=None), heads[:2]).confidence).all()
+    unread = replace(heads[0], image=Path("nowhere.png"))
+    mute = sample_fits(replace(model, confidence=None), [*heads[:2], unread])
+    assert np.isnan(mute.confidence).all()
+    assert {*mute.faces} == {0, 1}
+    assert [problem.partition(":")[0] for problem in mute.problems] == ["nowhere.png"]
 
 
 def test_saving_changes_nothing(model, tmp_path: Path) -> None:
