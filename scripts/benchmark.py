@@ -30,7 +30,7 @@ from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.plots import new_figure
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, summary_row
-from jaxfit.fitting.stream import BATCHES
+from jaxfit.fitting.batches import BATCHES
 from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.records import FaceRecord, copies_of
 from jaxfit.models.model import Model

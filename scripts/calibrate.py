@@ -31,9 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
     report_problems([*dataset.problems, *calibrated.problems])
     kind = parse_spec(dataset.spec)[0]
     jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
-    print(
-        f"{arguments.out}: knows {kind} boxes from {calibrated.faces} faces, shift {placement.shift}, log scale {placement.log_scale:.3f}"
-    )
+    lies = f"shift {placement.shift}, log scale {placement.log_scale:.3f}"
+    print(f"{arguments.out}: knows {kind} boxes, measured on {calibrated.faces} faces: {lies}")
     return 0
 
 

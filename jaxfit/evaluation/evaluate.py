@@ -13,10 +13,10 @@ from jaxfit.data.boxes import rotation_array
 from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
+from jaxfit.fitting.batches import batches_of, compile_batches
 from jaxfit.fitting.fit import fits_of_sources, sources_of
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.fitting.pipeline import Fitting, Pipeline
-from jaxfit.fitting.stream import batches_of, compile_batches
 from jaxfit.labels.aligned import with_depth
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.digests import DigestingReader

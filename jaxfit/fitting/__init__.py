@@ -8,7 +8,8 @@ from jaxfit.fitting.fuse import fuse
 from jaxfit.fitting.one_euro import OneEuro
 from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine
-from jaxfit.fitting.stream import Source, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.fitting.track import TrackedFrame, Tracker, track
 
 __all__ = [

@@ -20,7 +20,7 @@ from jaxfit.cascade.fit import find
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.inputs import read_regular
 from jaxfit.errors import InputError, ModelError
-from jaxfit.fitting.stream import BATCHES
+from jaxfit.fitting.batches import BATCHES
 from jaxfit.image.frame import Frame
 from jaxfit.models.files import (
     DAMAGE,

@@ -11,7 +11,7 @@ from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Seen, Source, see
+from jaxfit.fitting.sources import PictureFaces, Source, picture_faces
 from jaxfit.types import Progress, silent
 
 
@@ -58,23 +58,23 @@ def find_faces(
     finder = detector_named(detector, search)
     sources = [Source(image, name_of(image)) for image in images]
 
-    def found_in(source: Source) -> Seen:
-        return see(source, finder, read)._replace(picture=None)
+    def faces_of(source: Source) -> PictureFaces:
+        return picture_faces(source, finder, read)._replace(picture=None)
 
-    seen: list[Seen] = []
+    found: list[PictureFaces] = []
     progress("finding faces", 0, len(sources))
-    with closing(in_order((partial(found_in, source) for source in sources), reading_threads(len(sources)))) as each:
+    with closing(in_order((partial(faces_of, source) for source in sources), reading_threads(len(sources)))) as each:
         for one in each:
-            seen.append(one)
-            progress("finding faces", len(seen), len(sources))
+            found.append(one)
+            progress("finding faces", len(found), len(sources))
     return Found(
-        pictures=np.repeat(np.arange(len(seen)), [len(one.boxes) for one in seen]),
-        boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in seen)]),
-        kinds=tuple(kind for one in seen for kind in one.kinds),
-        rotations=np.concatenate([np.empty(0), *(one.rotations for one in seen)]),
+        pictures=np.repeat(np.arange(len(found)), [len(one.boxes) for one in found]),
+        boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in found)]),
+        kinds=tuple(kind for one in found for kind in one.kinds),
+        rotations=np.concatenate([np.empty(0), *(one.rotations for one in found)]),
         problems=tuple(
             Problem(number, source.name, one.why)
-            for number, (source, one) in enumerate(zip(sources, seen, strict=True))
+            for number, (source, one) in enumerate(zip(sources, found, strict=True))
             if one.why
         ),
     )

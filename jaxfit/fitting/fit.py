@@ -13,9 +13,11 @@ from jaxfit.data.boxes import box_array, rotation_array
 from jaxfit.data.detectors import Detector, Search
 from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
+from jaxfit.fitting.batches import batch_sizes, compile_batches
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.pipeline import Fitting, Pipeline
-from jaxfit.fitting.stream import Source, batch_sizes, compile_batches, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.types import Progress, silent
 

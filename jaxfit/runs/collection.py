@@ -21,7 +21,7 @@ from jaxfit.data.names import table_path
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
-from jaxfit.fitting.stream import NO_FACE
+from jaxfit.fitting.sources import NO_FACE
 from jaxfit.models.files import bundled
 from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.runs.workers import BatchFitter

@@ -36,7 +36,8 @@ from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine, require_refinable
-from jaxfit.fitting.stream import Source, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files

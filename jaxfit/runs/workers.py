@@ -20,7 +20,8 @@ from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine
-from jaxfit.fitting.stream import Source, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.files import BUNDLED, DEFAULT_MODEL, load, read_named
 
 
