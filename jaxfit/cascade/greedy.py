@@ -176,8 +176,8 @@ def _describe(
     states: State,
     window: Scalar,
 ) -> Float[Array, "faces augmentations features"]:
-    seen = jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops)
-    return features_of(descriptor, space, vmap(descriptor.prepare)(seen), states, window)
+    flipped = jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops)
+    return features_of(descriptor, space, vmap(descriptor.prepare)(flipped), states, window)
 
 
 @jax.jit
@@ -296,13 +296,13 @@ def train_cascade(
         own = np.full(every, -1)
         own[numbers] = np.arange(count)
         places = np.flatnonzero(own[chosen] >= 0)  # of this process's faces among the chosen
-        mine = own[chosen[places]]
-        seen = []
-        for first in range(0, max(1, len(mine)), size):  # once without any: others must know the features' number
-            progress(stage, first, len(mine))
-            batch = described(np.resize(mine[first : first + size], size), window)
-            seen.append(np.asarray(batch[: len(mine) - first, :each]))
-        samples = gathered(np.concatenate(seen), places, len(chosen))
+        here = own[chosen[places]]
+        parts = []
+        for first in range(0, max(1, len(here)), size):  # once without any: others must know the features' number
+            progress(stage, first, len(here))
+            batch = described(np.resize(here[first : first + size], size), window)
+            parts.append(np.asarray(batch[: len(here) - first, :each]))
+        samples = gathered(np.concatenate(parts), places, len(chosen))
         mean, directions, held = by_first(
             lambda: spectrum(jnp.asarray(samples.reshape(-1, samples.shape[-1])), variance)
         )

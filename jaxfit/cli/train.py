@@ -35,7 +35,7 @@ from jaxfit.processes import is_first, require_alone
 from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.types import Progress
 
-_MEASURED = 256  # faces at most whose errors are told in the end
+_MEASURED = 256  # faces at most whose errors are said in the end
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

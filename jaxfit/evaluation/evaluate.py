@@ -217,8 +217,8 @@ def fit_labelled(
         model.placement(each)
     require_same(model.cascade, model.aligned, model.scheme.name, [face.face for face in faces], boxes)
     boxed = np.isfinite(boxes).all(1)
-    mine = share_of([face.image for face in faces])
-    if own := int(boxed[mine].sum()):
+    share = share_of([face.image for face in faces])
+    if own := int(boxed[share].sum()):
         progress("compiling (cached for later runs)", 0, len(faces))
         compile_batches(pipeline, list(dict.fromkeys(batches_of(own))))
     reader = DigestingReader(pipeline.read or read_grey)
@@ -226,25 +226,25 @@ def fit_labelled(
         pipeline = replace(pipeline, read=reader)
     begin = time.perf_counter()
     sources_ = sources_of(
-        model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine], turned[mine]
+        model, [faces[row].image for row in share], boxes[share], [kinds[row] for row in share], turned[share]
     )
     fits = fits_of_sources(pipeline, sources_, progress)
     seconds = max(exchanged(time.perf_counter() - begin))
     learned = None
     if (digests := model.learned) is not None:
-        learned = gathered(reader.among([faces[row].image for row in mine], digests), mine, len(faces))
-    return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
+        learned = gathered(reader.among([faces[row].image for row in share], digests), share, len(faces))
+    return _of_all(fits, share, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
 
 
-def _of_all(fits: Fits, mine: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
-    """The fits of all processes, of which this one made those of the faces numbered ``mine``."""
-    own = [[int(mine[problem.picture]), problem.why] for problem in fits.problems]
+def _of_all(fits: Fits, share: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
+    """The fits of all processes, of which this one made those of the faces numbered ``share``."""
+    own = [[int(share[problem.picture]), problem.why] for problem in fits.problems]
     problems = sorted((row, why) for part in exchanged(own) for row, why in part)
-    whole: dict[str, Any] = {name: gathered(values, mine, len(faces)) for name, values in fits.arrays.items()}
+    whole: dict[str, Any] = {name: gathered(values, share, len(faces)) for name, values in fits.arrays.items()}
     return replace(
         fits,
         names=tuple(str(face.image) for face in faces),
-        sizes=gathered(fits.sizes, mine, len(faces)),
+        sizes=gathered(fits.sizes, share, len(faces)),
         kinds=tuple(kinds),
         problems=tuple(Problem(row, str(faces[row].image), why, row) for row, why in problems),
         **whole | {"pictures": np.arange(len(faces))},

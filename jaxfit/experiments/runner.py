@@ -94,12 +94,12 @@ def run_experiment(
                     failed[task.name] = error
                     continue
                 seconds = np.array(time.perf_counter() - begin)
-                made = {
+                about = {
                     "seconds": seconds,
                     "work": np.array(task.work(experiment)),
                     "made_with": np.array(_made_with()),
                 }
-                experiment.save_result(task.name, {**arrays, **made})
+                experiment.save_result(task.name, {**arrays, **about})
                 ran += 1
                 if ran % _TASKS_COMPILED == 0:
                     jax.clear_caches()

@@ -21,7 +21,7 @@ from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options
-from jaxfit.learning.prepare import usable_faces
+from jaxfit.learning.prepare import part_of, usable_faces
 from jaxfit.learning.train import train
 from jaxfit.models.model import Model
 from jaxfit.modes import computing
@@ -141,17 +141,13 @@ def choose_options(
 
     def errors_of(setting: Options, fold: int, about: str) -> np.ndarray:
         """The error of each face that is kept aside, the mean of those from several boxes."""
-
-        def told(stage: str, done: int, total: int) -> None:
-            progress(f"{about}, fold {fold + 1}/{folds}: {stage}", done, total)
-
         learned = [face for face, part in zip(usable, parts, strict=True) if part != fold]
-        seen = [usable[row] for row in kept_aside[fold]]
-        how: dict[str, Any] = {"progress": told, "read": read}
+        tested = [usable[row] for row in kept_aside[fold]]
+        how: dict[str, Any] = {"progress": part_of(progress, f"{about}, fold {fold + 1}/{folds}"), "read": read}
         model = train(learned, scheme, method=method, options=setting, axes=shared[fold], **how).model
-        boxes = np.concatenate([start_boxes(seen, seed + number) for number in range(_BOXES)])
+        boxes = np.concatenate([start_boxes(tested, seed + number) for number in range(_BOXES)])
         relative = default_normaliser(scheme)
-        errors = evaluate(model, seen * _BOXES, boxes, normaliser=relative, starts=setting.starts, **how).errors
+        errors = evaluate(model, tested * _BOXES, boxes, normaliser=relative, starts=setting.starts, **how).errors
         return np.minimum(errors, LIMIT).reshape(_BOXES, -1).mean(0)
 
     best = given.but(detectors=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))

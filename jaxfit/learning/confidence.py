@@ -35,6 +35,7 @@ from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
+from jaxfit.learning.prepare import part_of
 from jaxfit.learning.train import train
 from jaxfit.models.digests import union
 from jaxfit.models.model import SQUARE, Model
@@ -135,24 +136,24 @@ def learn_confidence(
     people = [face.subject for face in faces] if subjects is None else list(subjects)
     parts = split_by_subject(people, folds, seed)
     projection: Projection | None = None
-    seen: list[_Seen] = []
+    samples: list[_Samples] = []
     pictures = model.learned
     for fold in range(folds):
-        told = partial(_told, progress, f"fold {fold + 1}/{folds}: ")
+        report = part_of(progress, f"fold {fold + 1}/{folds}")
         learned = [face for face, part in zip(faces, parts, strict=True) if part != fold]
         tested = [face for face, part in zip(faces, parts, strict=True) if part == fold]
-        trained = train(learned, model.scheme, method=method, options=options, progress=told, read=read).model
+        trained = train(learned, model.scheme, method=method, options=options, progress=report, read=read).model
         trained = retuned(
-            trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=told, read=read
+            trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=report, read=read
         )
         pictures = union(pictures, trained.learned)
-        drawn, _ = _drawn(trained, tested, seed, read, told)  # whoever trained the model knows what cannot be read
+        drawn, _ = _drawn(trained, tested, seed, read, report)  # whoever trained the model knows what cannot be read
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
-        sampled, clues = _fitted(trained, drawn, _Project(projection), told)
-        seen.append(_Seen(clues, sampled.good, sampled.starts))
+        sampled, clues = _fitted(trained, drawn, _Project(projection), report)
+        samples.append(_Samples(clues, sampled.good, sampled.starts))
     progress("learning how likely fits are good", 0, 1)
-    confidence = _learned(seen, projection, seed) if projection else None
+    confidence = _learned(samples, projection, seed) if projection else None
     progress("learning how likely fits are good", 1, 1)
     return replace(model, confidence=confidence, learned=pictures)
 
@@ -197,21 +198,21 @@ def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str
     Raises:
         InputError: it does not say how, or it was trained with another head model.
     """
-    made: dict[str, Any] = {
+    settings: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in model.training.items()
     }
-    if made.get("method") not in METHODS or "windows" not in made:
+    if settings.get("method") not in METHODS or "windows" not in settings:
         raise InputError(f"expected a model that says how it was trained, as jaxfit.train makes; got {model.training}")
-    known = {name: made[name] for name in Options().flat() if name in made}
-    if "head" in made:
-        given = Path(head_model or made["head"]).name
-        if given != made["head"] or (head_model is None and given not in bundled_head_models()):
+    known = {name: settings[name] for name in Options().flat() if name in settings}
+    if "head" in settings:
+        given = Path(head_model or settings["head"]).name
+        if given != settings["head"] or (head_model is None and given not in bundled_head_models()):
             got = "none was given" if head_model is None else f"got {head_model}"
-            raise InputError(f"expected the 3D head model {made['head']}, which the model was trained with; {got}")
+            raise InputError(f"expected the 3D head model {settings['head']}, which the model was trained with; {got}")
         known["head_model"] = str(head_model or given)
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
     known |= {"starts": model.starts, "detectors": False, "descriptor": descriptor, "frame": frame}
-    return made["method"], Options().but(**known)
+    return settings["method"], Options().but(**known)
 
 
 class _Drawn(NamedTuple):
@@ -223,7 +224,7 @@ class _Drawn(NamedTuple):
     faces: np.ndarray
 
 
-class _Seen(NamedTuple):
+class _Samples(NamedTuple):
     """The clues (N, …) of N fits, reduced to principal components and moves, which are good, and how each began."""
 
     clues: np.ndarray
@@ -260,10 +261,6 @@ class _Features:
 
 
 jax.tree_util.register_static(_Features)
-
-
-def _told(progress: Progress, before: str, stage: str, done: int, total: int) -> None:
-    progress(before + stage, done, total)
 
 
 def _drawn(
@@ -372,7 +369,7 @@ def _fitted(
     turns = [starts.rotations for starts in kinds]
     ways = [(turn, passes) for turn in turns for passes in often]
     count = len(drawn.crops)
-    landmarks, made = [], []
+    landmarks, kept = [], []
     for way in ways:
         for first in range(0, count, _BATCH):
             progress("fitting", first, count)
@@ -380,14 +377,14 @@ def _fitted(
             left = min(_BATCH, count - first)
             found = _tried((model.cascade, of_clues), drawn.crops[rows], *way)
             landmarks.append(np.asarray(found[0])[:left])
-            made.append(np.asarray(found[1])[:left])
+            kept.append(np.asarray(found[1])[:left])
     progress("fitting", count, count)
     truth, starts, faces = (np.concatenate([part] * len(ways)) for part in drawn[1:])
     # Where there is no truth nothing can be measured: no face.
     measured = nmed(np.concatenate(landmarks), truth, model.scheme)
     errors = np.where(np.isnan(measured), np.inf, measured)
     passes = np.repeat([passes for _, passes in ways], count)
-    return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(made)
+    return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(kept)
 
 
 def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
@@ -412,11 +409,11 @@ class _Network(NamedTuple):
         return jnp.tanh(inputs @ self.weights + self.biases) @ self.output + self.offset
 
 
-def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confidence:
+def _learned(samples: Sequence[_Samples], projection: Projection, seed: int) -> Confidence:
     """The confidence learned from the fits of several folds: learned from all, and calibrated on those of detected
     faces in each, by a network that learned from the others."""
-    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(seen)])
-    clues, good, starts = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(samples)])
+    clues, good, starts = (np.concatenate(parts) for parts in zip(*samples, strict=True))
     finite = np.isfinite(clues).all(1)  # what diverges is no fit
     clues, good, starts, folds = clues[finite], good[finite], starts[finite], folds[finite]
     detected = starts == DETECTED
@@ -428,7 +425,7 @@ def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confid
     mean, deviation = clues.mean(0), clues.std(0) + 1e-6
     inputs = ((clues - mean) / deviation).astype(np.float32)
     logits = np.zeros(len(good))
-    for fold in range(len(seen)):
+    for fold in range(len(samples)):
         held_out = folds == fold
         logits[held_out] = _trained(inputs[~held_out], good[~held_out], seed)(jnp.asarray(inputs[held_out]))
     # What confidences are mostly asked for: among all fits, the easy ones would outvote the doubtful.

@@ -66,8 +66,8 @@ def finetune(
 ) -> Finetuned:
     """Tune all steps of a trained model together, by stochastic gradients of the error that they leave in the end.
 
-    Faces with missing landmarks teach those that they have. Where such a face lies is told by a 3D head model, which
-    must have the model's landmarks; those that it does not explain are left out and reported, like unreadable pictures.
+    Faces with missing landmarks teach those that they have. A 3D head model, which must have the model's landmarks,
+    says where such a face lies; faces that it does not explain are left out and reported, like unreadable pictures.
     Starts are drawn as in training: turned, too, if the model was made for several initialisations.
 
     Args:
@@ -129,8 +129,8 @@ def finetune(
         keep=kept.write if kept else lambda progressed: None,
         resume=kept.read if kept else lambda begun: begun,
     )
-    made = {"faces": int((~aside).sum()), "validation": validation, "mirror": mirror, **asdict(tuning)}
-    training = model.training | {"finetuned": made}
+    settings = {"faces": int((~aside).sum()), "validation": validation, "mirror": mirror, **asdict(tuning)}
+    training = model.training | {"finetuned": settings}
     return Finetuned(
         replace(
             model,
@@ -156,17 +156,17 @@ def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) 
     Raises:
         InputError: as `finetune` does, or if the other does not say how it was fine-tuned.
     """
-    if (made := like.training.get("finetuned")) is None:
+    if (settings := like.training.get("finetuned")) is None:
         return model
     try:
-        known = {option.name: made[option.name] for option in fields(Tuning)}
+        known = {option.name: settings[option.name] for option in fields(Tuning)}
         tuning = Tuning(**known | {"disturbance": Disturbance(**known["disturbance"])})
-        told = {"tuning": tuning, "validation": made["validation"], "mirror": made["mirror"]}
+        how_tuned = {"tuning": tuning, "validation": settings["validation"], "mirror": settings["mirror"]}
     except (LookupError, TypeError) as error:
         raise InputError(
             f"expected a model that says how it was fine-tuned, as jaxfit.finetune makes ({error})"
         ) from None
-    return finetune(model, faces, **told, **how).model
+    return finetune(model, faces, **how_tuned, **how).model
 
 
 def _placed(

@@ -21,6 +21,11 @@ from jaxfit.types import Progress
 _FLAT, _WIDE = 0.01, 0.1
 
 
+def part_of(progress: Progress, part: str) -> Progress:
+    """Progress within a part of some work, which is named before each of its stages."""
+    return lambda stage, done, total: progress(f"{part}: {stage}", done, total)
+
+
 def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
     """The faces to learn from, and what is wrong with the others."""
     complete = [face for face in faces if face.complete]

@@ -113,20 +113,20 @@ def train(
     jittered = np.stack([jitter(square, rng) for square in squares])
     placement = measure_placement(jittered, landmarks, mean, frame.face)
 
-    mine = share_of([face.image for face in complete])
+    share = share_of([face.image for face in complete])
     detected: list[_Detected] = []
     every = max(1, len(complete) // _DETECTED_FACES)
     detectors = [detector_named(name) for name in _DETECTORS] if options.detectors else []
 
     def look(row: int, grey: np.ndarray) -> None:
-        number = int(mine[row])
+        number = int(share[row])
         for detector in detectors if number % every == 0 else ():
             if match := best_match(detector(grey), squares[number]):
                 detected.append((number, match.kind, match.box.tolist(), match.rotation))
 
-    own = [complete[number] for number in mine]
-    crops, rows, why, digests = cut_labelled(own, squares[mine], placement, frame, read, progress, look)
-    unread = list(zip(np.setdiff1d(mine, mine[rows]).tolist(), why, strict=True))
+    own = [complete[number] for number in share]
+    crops, rows, why, digests = cut_labelled(own, squares[share], placement, frame, read, progress, look)
+    unread = list(zip(np.setdiff1d(share, share[rows]).tolist(), why, strict=True))
     parts = exchanged([unread, detected, len(rows), digests])
     problems += [why for _, why in sorted(each for part in parts for each in part[0])]
     readable = np.setdiff1d(np.arange(len(complete)), [number for part in parts for number, _ in part[0]])
@@ -134,10 +134,10 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(readable)}: {'; '.join(problems[:3])}")
     if idle := [process for process, part in enumerate(parts) if part[2] == 0]:
         raise InputError(f"expected readable pictures for each process, but {idle} have none: use fewer processes")
-    numbers, count = np.searchsorted(readable, mine[rows]), len(readable)
+    numbers, count = np.searchsorted(readable, share[rows]), len(readable)
     if options.mirror:
         numbers, count = np.concatenate([numbers, numbers + count]), 2 * count
-    learned = training_set(crops, landmarks[mine], squares[mine], rows, scheme if options.mirror else None)
+    learned = training_set(crops, landmarks[share], squares[share], rows, scheme if options.mirror else None)
     space = kind.learn_space(relative[readable], scheme, options, frame.face)
     space = jax.tree.unflatten(jax.tree.structure(space), by_first(lambda: space))
     cascade = train_cascade(
@@ -182,11 +182,11 @@ def _detected_placements(
 def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
     greedy, starts = options.greedy, options.starts
-    told: dict[str, Any] = vars(greedy) | {"windows": list(greedy.windows)}
-    told |= {"initialisations": starts.count, "rotations": [starts.low, starts.high]}
-    told |= {"shape_variance": options.shape_variance, "sigmas": options.sigmas, "mirror": options.mirror}
+    summary: dict[str, Any] = vars(greedy) | {"windows": list(greedy.windows)}
+    summary |= {"initialisations": starts.count, "rotations": [starts.low, starts.high]}
+    summary |= {"shape_variance": options.shape_variance, "sigmas": options.sigmas, "mirror": options.mirror}
     if method_named(method).in_3d:
         # Not the path of a file: where it lay is nobody else's business.
         head_model = load_head_model(options.head_model)
-        told |= {"head": Path(options.head_model).name, "head_source": head_model.source}
-    return {"jaxfit": __version__, "method": method, "faces": faces, **told}
+        summary |= {"head": Path(options.head_model).name, "head_source": head_model.source}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **summary}

@@ -118,8 +118,8 @@ def _fit_held(
         done = len(wanted) - len(left)
         progress("fitting pictures", done, len(wanted))
         some = [left[first : first + part] for first in range(0, len(left), part)]
-        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as made:
-            for fitted, error in made:
+        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as results:
+            for fitted, error in results:
                 if error:
                     raise JaxfitError(error)
                 done += fitted
@@ -165,7 +165,7 @@ def _fit_parts(
         context.enable_progress_bars = False
         rows = [{"pictures": list(map(os.fsencode, part))} for part in parts]  # names need not be text
         with ray.data.DataContext.current(context):
-            made = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
+            results = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
                 _PartFitter,
                 fn_constructor_args=(fitter, folder),
                 # One part at a time, so that a picture that kills its worker does not cost others their tries.
@@ -175,7 +175,7 @@ def _fit_parts(
                 num_cpus=fitter.cores,
                 num_gpus=gpus,
             )
-            for row in made.iter_rows():
+            for row in results.iter_rows():
                 yield row["pictures"], row["error"]
 
 

@@ -123,7 +123,7 @@ def test_what_is_learned_is_as_likely_as_it_says() -> None:
         chance = 1 / (1 + np.exp(-2 * (clues[:, 0] - clues[:, 9]).clip(-2, 2)))
         return clues.astype(np.float32), rng.random(count) < chance
 
-    seen = [trusting._Seen(*fits(2000), np.full(2000, DETECTED)) for _ in range(3)]
+    seen = [trusting._Samples(*fits(2000), np.full(2000, DETECTED)) for _ in range(3)]
     confidence = trusting._learned(seen, projection, 0)
     clues, good = fits(20_000)
     features = np.asarray(projection.mean) + clues[:, :6] @ axes.T
@@ -218,7 +218,7 @@ def test_what_cannot_be_learned_from_is_refused(model, heads) -> None:
         sample_fits(model, [replace(heads[0], landmarks=np.zeros((5, 2)))])
     with pytest.raises(InputError, match="that can be read; got none"):
         sample_fits(model, [replace(heads[0], image=Path("nowhere.png"))])
-    same = trusting._Seen(np.zeros((4, 9)), np.ones(4, bool), np.full(4, DETECTED))
+    same = trusting._Samples(np.zeros((4, 9)), np.ones(4, bool), np.full(4, DETECTED))
     with pytest.raises(InputError, match="good and bad fits"):
         trusting._learned([same, same], Projection(jnp.zeros(3), jnp.eye(3)), 0)
 
