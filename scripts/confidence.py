@@ -17,7 +17,8 @@ from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import auroc, reliability
 from jaxfit.evaluation.plots import new_figure, plot_reliability
 from jaxfit.labels.datasets import read_datasets, shared_scheme
-from jaxfit.learning.confidence import DETECTED, NO_FACES, SampledFits, sample_fits
+from jaxfit.learning.confidence import SampledFits, sample_fits
+from jaxfit.learning.draw_starts import DETECTED, NO_FACES
 
 
 def main() -> int:

@@ -4,14 +4,12 @@ On the faces that a cascade was trained on its fits are too good to learn from. 
 some of the people each, fit the others, and the confidence learns from those fits.
 """
 
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import jax
 import numpy as np
 import scipy
@@ -23,41 +21,24 @@ from jaxfit.cascade.confidence import Clues, Confidence
 from jaxfit.cascade.fit import find_clues
 from jaxfit.cascade.regression import Projection, principal_axes
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import bounding_square, box_centre, jitter
-from jaxfit.data.crops import Crops, cut
-from jaxfit.data.detectors.detector import overlap
-from jaxfit.data.pictures import GreyPictures, Read, to_grey
-from jaxfit.errors import ImageError, InputError
+from jaxfit.data.pictures import GreyPictures, Read
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.draw_starts import DrawnStarts, draw_starts
 from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.learning.prepare import part_of
 from jaxfit.learning.train import train
 from jaxfit.models.digests import union
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 from jaxfit.modes import computing, mixing_types
 from jaxfit.processes import require_alone
-from jaxfit.schemes.scheme import mirrored
 from jaxfit.types import Progress, silent
 
-# How fits may begin. Boxes like a detector's are what a confidence is mostly for.
-DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN = (
-    "detected",
-    "lost",
-    "elsewhere",
-    "part",
-    "upside down",
-    "pattern",
-)
-NO_FACES = (ELSEWHERE, PART, PATTERN)
-_OF_EACH_FACE = (DETECTED, DETECTED, DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN)
-
-_APART = 0.15  # overlap (IoU) with the face below which a box is elsewhere
-_TRIES = 50  # to find such a box: where a face fills its picture there is none
 _BATCH = 64
 _PASSES = (1, 2)  # of the cascade: the second moves less, however good it is
 _PCA_SAMPLES = 3072
@@ -147,7 +128,9 @@ def learn_confidence(
             trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=report, read=read
         )
         pictures = union(pictures, trained.learned)
-        drawn, _ = _drawn(trained, tested, seed, read, report)  # whoever trained the model knows what cannot be read
+        drawn, _ = draw_starts(
+            trained, tested, seed, read, report
+        )  # whoever trained the model knows what cannot be read
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
         sampled, clues = _fitted(trained, drawn, _Project(projection), report)
@@ -182,7 +165,7 @@ def sample_fits(
         InputError: labels of another number of landmarks, or none that can be used.
     """
     confidence = model.confidence
-    drawn, problems = _drawn(model, faces, seed, read or GreyPictures(), progress)
+    drawn, problems = draw_starts(model, faces, seed, read or GreyPictures(), progress)
     sampled, said = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
     return replace(sampled, confidence=said.astype(np.float64), problems=problems)
 
@@ -213,15 +196,6 @@ def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
     known |= {"starts": model.starts, "detectors": False, "descriptor": descriptor, "frame": frame}
     return settings["method"], Options().but(**known)
-
-
-class _Drawn(NamedTuple):
-    """What N fits begin with: `SampledFits`, and the crops (N) and true landmarks (N, L, 2) in their pixels."""
-
-    crops: np.ndarray
-    truth: np.ndarray
-    starts: np.ndarray
-    faces: np.ndarray
 
 
 class _Samples(NamedTuple):
@@ -263,94 +237,6 @@ class _Features:
 jax.tree_util.register_static(_Features)
 
 
-def _drawn(
-    model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress
-) -> tuple[_Drawn, tuple[str, ...]]:
-    """Starts of each kind for all faces that are complete and can be read; and what could not be read and why."""
-    if other := next((face for face in faces if len(face.landmarks) != model.scheme.count), None):
-        raise InputError(f"expected faces of {model.scheme.count} landmarks, as the model's; {other.image} has others")
-    frame, placement = model.cascade.frame, model.placement(SQUARE)
-    crops, truths, starts, numbers = [], [], [], []
-    problems: list[str] = []
-    crop = Crops.empty(1, frame)
-    for number, face in enumerate(faces):
-        progress("drawing starts", number, len(faces))
-        if not face.complete:
-            continue
-        try:
-            upright = to_grey(read(face.image))
-        except ImageError as error:
-            problems.append(str(error))
-            continue
-        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
-        for start in _OF_EACH_FACE:
-            picture, points = upright, face.landmarks
-            height, width = picture.shape
-            if model.scheme.mirror is not None and rng.random() < 0.5:
-                picture, points = picture[:, ::-1], mirrored(points, width, model.scheme)
-            if start == UPSIDE_DOWN:
-                picture, points = picture[::-1, ::-1], np.array([width - 1, height - 1]) - points
-            if start == PATTERN:
-                pixels, points = _pattern(rng, frame.crop), np.full_like(points, np.nan)
-            else:
-                box = _box(start, bounding_square(points), picture.shape, rng)
-                if box is None:
-                    continue
-                cut(picture, *placement.face_in(box), crop, 0)
-                pixels, points = crop.pixels[0].copy(), crop.from_images(points[None])[0]
-            crops.append(pixels)
-            truths.append(points)
-            starts.append(start)
-            numbers.append(number)
-    progress("drawing starts", len(faces), len(faces))
-    if not crops:
-        raise InputError("expected a face with all landmarks and a picture that can be read; got none")
-    drawn = _Drawn(np.stack(crops), np.stack(truths), np.array(starts), np.array(numbers))
-    return drawn, tuple(dict.fromkeys(problems))
-
-
-def _box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:
-    """A box (4,) of this kind, for a face in this square (4,) of a picture (H, W); None: there is none."""
-    if start in (DETECTED, UPSIDE_DOWN):
-        return jitter(square, rng, rng.uniform(0.06, 0.15), rng.uniform(0.08, 0.2))
-    side = square[2]
-    if start == LOST:
-        return _around(
-            box_centre(square) + side * rng.uniform(-0.5, 0.5, 2), side * np.exp(rng.uniform(-1, 1) * np.log(2))
-        )
-    if start == PART:
-        small = side * rng.uniform(0.15, 0.4)
-        return np.array([*(square[:2] + rng.uniform(0, side - small, 2)), small, small])
-    for _ in range(_TRIES):
-        box = _around(rng.uniform((0, 0), shape[1::-1]), side * np.exp(rng.uniform(np.log(0.4), np.log(1.5))))
-        if overlap(box, square) < _APART:
-            return box
-    return None
-
-
-def _around(centre: np.ndarray, side: float) -> np.ndarray:
-    return np.array([*(centre - side / 2), side, side])
-
-
-def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
-    """A picture (side, side), uint8, of nothing: plain, a slope, stripes, or noise, coarse or fine."""
-    y, x = np.mgrid[:side, :side] / side
-    angle = rng.uniform(0, 2 * np.pi)
-    along = x * np.cos(angle) + y * np.sin(angle)
-    kind = rng.choice(["plain", "slope", "stripes", "noise"])
-    picture: np.ndarray
-    if kind == "noise":
-        coarseness = side * np.exp(rng.uniform(np.log(0.002), np.log(0.15)))
-        picture = np.asarray(cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), coarseness), np.float64)
-    elif kind == "stripes":
-        picture = np.sin(2 * np.pi * (along * np.exp(rng.uniform(np.log(1), np.log(20))) + rng.random()))
-    else:
-        picture = along if kind == "slope" else np.zeros_like(x)
-    contrast = rng.uniform(10, 70) / max(float(picture.std()), 1e-6)
-    grain = rng.normal(0, rng.choice([0, 2, 8]), picture.shape)
-    return (rng.uniform(40, 210) + contrast * (picture - picture.mean()) + grain).clip(0, 255).astype(np.uint8)
-
-
 @partial(jax.jit, static_argnames="passes")
 def _tried(
     model: tuple[Any, Any], crops: Array, turns: Array, passes: int
@@ -361,7 +247,7 @@ def _tried(
 
 
 def _fitted(
-    model: Model, drawn: _Drawn, of_clues: Any, progress: Progress, often: Sequence[int] = _PASSES
+    model: Model, drawn: DrawnStarts, of_clues: Any, progress: Progress, often: Sequence[int] = _PASSES
 ) -> tuple[SampledFits, np.ndarray]:
     """Fits of what was drawn, in so many passes each, and what ``of_clues`` makes of each fit's clues; models that are
     made for several starts fit from one and from several."""
@@ -387,10 +273,10 @@ def _fitted(
     return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(kept)
 
 
-def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
+def _axes(model: Model, drawn: DrawnStarts, seed: int) -> Projection:
     """Principal axes of the descriptors of some fits."""
     chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_PCA_SAMPLES]
-    some = _Drawn(*(part[chosen] for part in drawn))
+    some = DrawnStarts(*(part[chosen] for part in drawn))
     _, features = _fitted(model, some, _Features(), silent, _PASSES[:1])
     found = principal_axes(jnp.asarray(features[:_PCA_SAMPLES]), _VARIANCE)
     return Projection(found.mean, found.axes[:, :_MOST_AXES])

@@ -86,14 +86,8 @@ def finetune(
             that cannot be mirrored, fits that run away, a checkpoint of something else, or several processes.
         ModelError: a damaged checkpoint, or no such head model.
     """
-    require_alone("fine-tuning")
+    _require_tunable(model, faces, validation, mirror)
     scheme = model.scheme
-    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
-        raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
-    if not 0 <= validation < 1:
-        raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
-    if mirror:
-        mirror_order(scheme)
     placed, problems = _placed(faces, scheme, head_model)
     usable, flat = usable_faces([face for face, _ in placed], scheme)
     problems += flat
@@ -143,6 +137,23 @@ def finetune(
         np.asarray(errors),
         tuple(problems),
     )
+
+
+def _require_tunable(model: Model, faces: Sequence[FaceRecord], validation: float, mirror: bool) -> None:
+    """Check, before the work, what `finetune` asks for.
+
+    Raises:
+        InputError: several processes, labels of another number of landmarks, a share out of range, or landmarks that
+            cannot be mirrored.
+    """
+    require_alone("fine-tuning")
+    scheme = model.scheme
+    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
+        raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
+    if not 0 <= validation < 1:
+        raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
+    if mirror:
+        mirror_order(scheme)
 
 
 def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) -> Model:

@@ -84,21 +84,7 @@ def train(
         ProcessError: another of the processes ended.
     """
     kind, seed = method_named(method), options.greedy.seed
-    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
-        raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
-    if scheme.count == 0:
-        raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
-    if scheme.count < kind.fewest:
-        raise InputError(
-            f"expected at least {kind.fewest} landmarks for the method {method!r}, which has to learn size and shape "
-            f"from them; {scheme.name} has {scheme.count}: label more, or take another method"
-        )
-    complete, problems = usable_faces(faces, scheme)
-    if len(complete) < 2:
-        raise InputError(
-            f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)} of {len(faces)}: "
-            f"{'; '.join(problems[:3])}"
-        )
+    complete, problems = _learnable(faces, scheme, method)
     descriptor, frame = view_of(method, options)
     if options.mirror:
         mirror_order(scheme)
@@ -164,6 +150,31 @@ def train(
         len(readable),
         tuple(problems),
     )
+
+
+def _learnable(faces: Sequence[FaceRecord], scheme: Scheme, method: str) -> tuple[list[FaceRecord], list[str]]:
+    """The faces that can be learned from, and what is wrong with the others.
+
+    Raises:
+        InputError: faces of another number of landmarks, too few landmarks for the method, or too few faces.
+    """
+    fewest = method_named(method).fewest
+    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
+        raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
+    if scheme.count == 0:
+        raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
+    if scheme.count < fewest:
+        raise InputError(
+            f"expected at least {fewest} landmarks for the method {method!r}, which has to learn size and shape "
+            f"from them; {scheme.name} has {scheme.count}: label more, or take another method"
+        )
+    complete, problems = usable_faces(faces, scheme)
+    if len(complete) < 2:
+        raise InputError(
+            f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)} of {len(faces)}: "
+            f"{'; '.join(problems[:3])}"
+        )
+    return complete, problems
 
 
 def _detected_placements(
