@@ -28,10 +28,3 @@ def test_pictures_that_are_tested_on_are_left_out_and_counted(heads: tuple[FaceR
     found = gather_faces(["first:a", "second:b"], without=["tested:c"])
     assert [face.image for face in found.faces] == [face.image for face in (*heads[:3], heads[5])]
     assert found.notes == ("2 of 6 faces left out: tested:c has their pictures",)
-
-
-def test_lifted_faces_have_all_landmarks_of_the_others(heads: tuple[FaceRecord, ...]) -> None:
-    found = gather_faces(["first:a"], lift=["second:b"], lift_yaw=361.0)
-    assert len(found.faces) == 4
-    assert found.notes == ("second:b: 0 of 2 faces lifted to aflw21",)
-    assert "second:b: 2 of 2 faces left out: turned by less than 361 degrees" in found.problems
