@@ -322,8 +322,8 @@ def given_greedy(arguments: argparse.Namespace) -> Greedy:
     Raises:
         InputError: an option out of range.
     """
-    given = {name: getattr(arguments, name) for name in _GREEDY}
-    return Greedy(**{name: tuple(value) if isinstance(value, list) else value for name, value in given.items()})
+    given: dict[str, Any] = {name: getattr(arguments, name) for name in _GREEDY}
+    return Greedy(**given | {"windows": tuple(given["windows"])})
 
 
 def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:

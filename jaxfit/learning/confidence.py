@@ -28,7 +28,7 @@ from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning.draw_starts import DrawnStarts, draw_starts
+from jaxfit.learning.draw_starts import DETECTED, DrawnStarts, draw_starts
 from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.learning.prepare import part_of

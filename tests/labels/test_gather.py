@@ -1,5 +1,8 @@
 """Faces of several datasets, gathered to learn from."""
 
+from functools import partial
+from pathlib import Path
+
 import pytest
 
 from jaxfit.labels import gather_faces
@@ -8,12 +11,16 @@ from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes import AFLW21
 
 
+def _as_it_is(dataset: Dataset, path: Path) -> Dataset:
+    return dataset
+
+
 @pytest.fixture(autouse=True)
 def _datasets(heads: tuple[FaceRecord, ...], monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn heads as the datasets ``first`` and ``second``, which share none, and ``tested``, one picture of each."""
     for name, faces in {"first": heads[:4], "second": heads[4:6], "tested": heads[3:5]}.items():
         dataset = Dataset(name, AFLW21, faces, (f"one of {name} was torn",))
-        monkeypatch.setitem(FORMATS, name, lambda path, dataset=dataset: dataset)
+        monkeypatch.setitem(FORMATS, name, partial(_as_it_is, dataset))
 
 
 def test_people_of_two_datasets_are_not_one_and_all_problems_are_kept(heads: tuple[FaceRecord, ...]) -> None:
