@@ -25,6 +25,7 @@ _FILE = "face_detection_yunet_2023mar.onnx"
 # doubtful finds; of 20 pixels 76 and 99 in 100; of 32 pixels all have both. Faces of 600 pixels are still found.
 _QUICK, _CLEAR = 20.0, 32.0  # width of the smallest face, in the network's pixels, at first and if no face is sure
 _CLOSE = 40.0  # width up to which a find is looked at closer, in a patch
+_LEAST = 0.67  # of the smallest face's width that a find has at least: more of what is smaller is no face
 _LARGEST = 640  # longer side, in the network's pixels, from which a coarser level looks for larger faces
 _COARSER = 4  # times that a level is coarser than the one before
 _TILE, _SHARED = 1280, 256  # sides of the parts that a large level is looked at in, and how far they overlap
@@ -159,11 +160,13 @@ class YuNet:
 
     def _finds(self, bgr: np.ndarray, width: float) -> Iterator[Detection]:
         """What the network finds in the picture, and in the picture turned by quarters if any rotation is asked for."""
+        smallest = self.search.smallest_in(bgr.shape)
         for quarters in self._quarters:
             turned = np.ascontiguousarray(np.rot90(bgr, quarters))
-            for part in _parts(turned, width / self.search.smallest_in(bgr.shape)):
+            for part in _parts(turned, width / smallest):
                 for face in self._faces(part):
-                    yield turned_back(face, quarters, bgr.shape)
+                    if face.box[2:].mean() >= _LEAST * smallest:
+                        yield turned_back(face, quarters, bgr.shape)
 
     @property
     def _score(self) -> float:
