@@ -192,7 +192,7 @@ def test_incomplete_faces_take_part_in_fine_tuning_alone(model, heads, monkeypat
 
     monkeypatch.setattr(trusting, "train", lambda *_, **__: SimpleNamespace(model=model))
     monkeypatch.setattr(trusting, "retuned", tuned)
-    monkeypatch.setattr(trusting, "_drawn", drawn)
+    monkeypatch.setattr(trusting, "draw_starts", drawn)
     partial = [replace(face, present=np.arange(21) > 3) for face in heads[::2]]
     with pytest.raises(Enough):
         learn_confidence(model, [*heads[1::2], *partial], folds=2)
