@@ -12,6 +12,7 @@ from jaxfit.heads.model import load_head_model
 from jaxfit.labels.datasets import parse_spec
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord, copies_of
+from jaxfit.models.digests import same_pictures
 from jaxfit.schemes.scheme import Scheme
 
 
@@ -56,8 +57,8 @@ def add_faces(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="datasets to be tested on: faces in their pictures, or in others of the same file names, are left out of "
-        "all others",
+        help="datasets to be tested on: faces in their pictures, or in others of the same file names or pixels, are "
+        "left out of all others",
     )
 
 
@@ -133,12 +134,19 @@ def _source(dataset: Dataset) -> Path:
 
 def _without(parts: list[list[FaceRecord]], tested: Dataset) -> list[list[FaceRecord]]:
     """The faces of several datasets in other pictures than those of a tested one; prints how many are not."""
+    pictures = [face.image for face in tested.faces]
     copies: dict[Path, Path] = {}
     for part in parts:
-        copies |= copies_of([face.image for face in tested.faces], [face.image for face in part])
+        copies |= copies_of(pictures, [face.image for face in part])
+    renamed = same_pictures(pictures, {face.image for part in parts for face in part} - {*copies})
+    copies |= renamed
     kept = [[face for face in part if face.image not in copies] for part in parts]
     every, left = (sum(map(len, some)) for some in (parts, kept))
-    elsewhere = [(copy, picture) for copy, picture in copies.items() if copy.resolve() != picture.resolve()]
-    by_name = f"; some by their names, such as {elsewhere[0][0]} for {elsewhere[0][1]}" if elsewhere else ""
-    say(f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}")
+    elsewhere = [(copy, of) for copy, of in copies.items() if copy not in renamed and copy.resolve() != of.resolve()]
+    how = "".join(
+        f"; some by their {what}, such as {some[0][0]} for {some[0][1]}"
+        for what, some in (("names", elsewhere), ("pixels", sorted(renamed.items())))
+        if some
+    )
+    say(f"{every - left} of {every} faces left out: {tested.spec} has their pictures{how}")
     return kept

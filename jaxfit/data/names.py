@@ -63,6 +63,16 @@ def table_word(word: str) -> str:
     return f"_{text}" if text.startswith(_FORMULA) else text
 
 
+def each_once(pictures: Iterable[str | Path]) -> list[Path]:
+    """Pictures without those that were there before under another path, as ``a.jpg`` and ``/photos/a.jpg``, or through
+    a link to a folder. A link to a picture is a picture of its own."""
+    real = cache(os.path.realpath)
+    places: dict[str, Path] = {}
+    for path in map(Path, pictures):
+        places.setdefault(os.path.join(real(path.parent), path.name), path)
+    return list(places.values())
+
+
 def _composed(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 

@@ -18,6 +18,7 @@ from jaxfit.data.damage import damage_of
 from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
 from jaxfit.data.inputs import open_regular, read_regular
 from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
+from jaxfit.data.names import each_once
 from jaxfit.data.orientations import as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of
@@ -286,8 +287,14 @@ def _upper_bits(image: np.ndarray) -> np.ndarray:
 
 
 def _array(image: Pixels) -> np.ndarray:
-    if isinstance(image, np.ndarray | jax.Array):
+    if isinstance(image, np.ndarray):
         return np.asarray(image)
+    if isinstance(image, jax.Array):
+        try:
+            return np.asarray(image)
+        except (RuntimeError, TypeError, ValueError) as error:  # deleted or donated, of keys, elsewhere, being traced
+            why = str(error).partition("\n")[0]
+            raise ImageError(f"an array of JAX that cannot be used ({why}); give numpy.asarray(image)") from None
     if _is_of_pil(image):
         return _array_of_pil(image)
     advice = "make it a uint8 array (H, W, 3) first, as tensor.cpu().numpy() and numpy.asarray do"
@@ -381,7 +388,7 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
                 raise InputError(f"{match} is a video: `jaxfit track` follows faces through videos")
             elif not match.is_dir():
                 found.append(match)
-    return list(dict.fromkeys(found))
+    return each_once(found)
 
 
 def _matches(pattern: str) -> set[str]:
@@ -516,13 +523,24 @@ def several(images: Images) -> list[Image]:
     """Pictures as a list: what comes from a generator is kept, and paths of any type are files.
 
     Raises:
-        InputError: it is one picture, or nothing that pictures come in one after another.
+        InputError: it is one picture, nothing that pictures come in one after another, or being traced by JAX.
     """
     require_several(images)
-    return [
-        Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
-        for image in images
-    ]
+    try:
+        listed = [
+            Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
+            for image in images
+        ]
+    except RuntimeError as error:  # an array of JAX that was deleted; generators of the caller's raise what they raise
+        if not isinstance(images, jax.Array):
+            raise
+        raise InputError(f"expected a sequence of images; got an array of JAX that cannot be used ({error})") from None
+    if any(isinstance(image, jax.core.Tracer) for image in listed):
+        raise InputError(
+            "expected pictures; got arrays that JAX is tracing, whose values are not known: call this outside of "
+            "functions that jax.jit, jax.vmap or jax.grad transform; jaxfit.cascade.fit_crops can be traced"
+        )
+    return listed
 
 
 def require_several(images: Images) -> None:

@@ -1,6 +1,7 @@
 """The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
 
 import math
+import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -115,8 +116,12 @@ def read_datasets(specs: Sequence[str], scheme: str | None = None) -> list[Datas
         InputError: one is named twice, or its labels cannot be converted.
         DatasetError: one cannot be read.
     """
-    if len(set(specs)) < len(specs):
-        raise InputError(f"expected each dataset once; got {' '.join(specs)}")
+    known: dict[Spec, str] = {}
+    for spec in specs:
+        parts = parse_spec(spec)
+        same = known.setdefault(parts._replace(path=os.path.realpath(parts.path)), spec)
+        if same is not spec:
+            raise InputError(f"expected each dataset once; got {same} and {spec}, which are the same")
     datasets = [read_dataset(spec) for spec in specs]
     return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
 

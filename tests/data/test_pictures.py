@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 import cv2
+import jax
 import numpy as np
 import pytest
 from exif_files import TURNS, oriented, with_segment
@@ -299,6 +300,21 @@ def test_the_first_of_several_pictures_in_a_file_is_read(form, options):
     assert np.abs(decode_image(file.getvalue()).astype(int) - shown).max() <= 4
 
 
+def test_arrays_of_jax_that_cannot_be_used_are_refused(rgb):
+    deleted = jnp.asarray(rgb)
+    deleted.delete()
+    for image in (deleted, jax.random.key(0), jnp.zeros((4, 4), jnp.bfloat16)):
+        with pytest.raises(ImageError, match=r"array of JAX that cannot be used|got bfloat16"):
+            to_eight_bits(image)
+    stack = jnp.asarray(rgb[None])
+    stack.delete()
+    with pytest.raises(InputError, match="an array of JAX that cannot be used"):
+        several(stack)
+    for traced in (lambda images: several(list(images)), several):
+        with pytest.raises(InputError, match="JAX is tracing"):
+            jax.eval_shape(traced, jnp.zeros((2, 4, 4, 3), jnp.uint8))
+
+
 @given(st.integers(1, 9), st.integers(1, 9))
 def test_arrays_of_any_layout_are_taken(height, width):
     rgb = np.random.default_rng(height * 10 + width).integers(0, 256, (height, width, 3), np.uint8)
@@ -367,6 +383,17 @@ def test_pictures_are_found_in_files_and_folders(tmp_path):
     (tmp_path / "odd.name").touch()
     found = find_images([tmp_path / "odd.name", str(folder), folder / "a.png"])
     assert [path.name for path in found] == ["odd.name", "a.png", "b.JPG", "c.heic"]
+
+
+def test_a_picture_under_several_paths_is_found_once(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "photos").mkdir()
+    for name in ("a.png", "b.png"):
+        (tmp_path / "photos" / name).touch()
+    (tmp_path / "photos" / "c.png").symlink_to("a.png")  # has a name of its own, which results and boxes have
+    (tmp_path / "link").symlink_to("photos")
+    names = ["photos/b.png", str(tmp_path / "photos" / "b.png"), "./photos", "link", "link/../photos/a.png"]
+    assert list(map(str, find_images(names))) == ["photos/b.png", "photos/a.png", "photos/c.png"]
 
 
 def test_what_looks_like_a_picture_is_found_whatever_its_name(tmp_path, rgb):
