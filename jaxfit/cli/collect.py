@@ -7,12 +7,15 @@ from jaxfit.cli.arguments import (
     add_pictures,
     add_refine,
     add_starts,
+    add_unshift,
     given_search,
     given_starts,
+    given_unshift,
 )
-from jaxfit.cli.progress import Bars, say
+from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.pictures import find_images
+from jaxfit.models.files import load
 from jaxfit.runs.collection import fit_collection
 from jaxfit.runs.workers import BatchFitter
 
@@ -30,6 +33,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_detector(command, "finds the faces; yunet, a small network, unless given")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
+    add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument("--workers", type=int, help="processes; as many as there are cores for unless given")
     command.add_argument("--cores", type=int, default=1, help="that each of them keeps busy (default: 1)")
@@ -47,6 +51,7 @@ def run(options: argparse.Namespace) -> int:
         options.refine,
         options.cores,
         options.max_megapixels,
+        options.unshift,
     )
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:
@@ -58,6 +63,8 @@ def run(options: argparse.Namespace) -> int:
             part=options.part,
             progress=bars,
         )
+    if options.unshift:
+        report_problems(given_unshift(options, load(options.model)))
     say("pictures: " + ", ".join(f"{count} {outcome}" for outcome, count in outcomes.items()))
     say(f"written: {options.out}/parts, {options.out}/manifest.parquet")
     return 0 if outcomes["fitted"] and not outcomes["missing"] else 1

@@ -181,7 +181,8 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / _WRITTEN[1], _FACE_COLUMNS, _faces(results))
-    replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)})
+    if replaced := replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)}):
+        say(replaced)
     report_problems(
         untrained_starts(options.model, model, starts)
         + unused

@@ -38,6 +38,7 @@ class BatchFitter:
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         cores: that a worker's threads keep busy; with a worker for each core, 1.
         max_megapixels: of a picture; larger ones are problems.
+        unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
 
     Raises:
         InputError: no such detector, or a number out of range.
@@ -51,6 +52,7 @@ class BatchFitter:
     refine: bool = False
     cores: int = 1
     max_megapixels: float = DEFAULT_MEGAPIXELS
+    unshift: bool = False
 
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
@@ -80,6 +82,7 @@ class BatchFitter:
         """
         names, pictures = _pictures(batch)
         model, detector = _loaded(self.model, self.detector, self.search, self.cores)
+        model = model.unshifted() if self.unshift else model
         with at_most_cores(self.cores), at_most_megapixels(self.max_megapixels):
             fits = fit(
                 model,
