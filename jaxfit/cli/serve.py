@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     if options.unshift:
         still = [name for name, model in loaded.items() if not model.cascade.frame.shift]
         if still:
-            say(f"--unshift: {', '.join(still)} know of no shift of their labels: their fits stay where they are")
+            say(f"--unshift: no shift of labels is known of {', '.join(still)}: their fits stay where they are")
         loaded = {name: model.unshifted() for name, model in loaded.items()}
     service = Service(loaded, _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
