@@ -94,14 +94,17 @@ def _of_properties(data: bytes) -> int:
     main = boxes.get(b"pitm", b"")
     item = int.from_bytes(main[4:6] if main[:1] == b"\0" else main[4:8])
     kept = list(_each_box(properties.get(b"ipco", b"")))
-    turns, axis = 0, None
+    turns = 0
+    axis: int | None = None
     for number in _property_numbers(properties.get(b"ipma", b""), item):
         kind, body = kept[number - 1] if 0 < number <= len(kept) else (b"", b"")
         if kind == b"irot":
             turns = body[0] & 3  # quarters, anticlockwise
         elif kind == b"imir":
             axis = body[0] & 1  # 0 exchanges above and below, 1 left and right
-    return {None: (1, 8, 3, 6), 0: (4, 5, 2, 7), 1: (2, 7, 4, 5)}[axis][turns]
+    if axis is None:
+        return (1, 8, 3, 6)[turns]
+    return ((4, 5, 2, 7), (2, 7, 4, 5))[axis][turns]
 
 
 def _property_numbers(data: bytes, wanted: int) -> Iterator[int]:

@@ -1,7 +1,6 @@
 """The formats of labelled faces by the names that the command line uses, ``FORMAT:PATH``; conversion of labels."""
 
 import math
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxfit.data.names import real_path
 from jaxfit.errors import InputError
 from jaxfit.labels.importers.aflw import read_aflw
 from jaxfit.labels.importers.aflw2000 import read_aflw2000
@@ -119,9 +119,10 @@ def read_datasets(specs: Sequence[str], scheme: str | None = None) -> list[Datas
     known: dict[Spec, str] = {}
     for spec in specs:
         parts = parse_spec(spec)
-        same = known.setdefault(parts._replace(path=os.path.realpath(parts.path)), spec)
-        if same is not spec:
-            raise InputError(f"expected each dataset once; got {same} and {spec}, which are the same")
+        place = parts._replace(path=real_path(parts.path))
+        if place in known:
+            raise InputError(f"expected each dataset once; got {known[place]} and {spec}, which are the same")
+        known[place] = spec
     datasets = [read_dataset(spec) for spec in specs]
     return datasets if scheme is None else [convert_dataset(dataset, scheme_named(scheme)) for dataset in datasets]
 
