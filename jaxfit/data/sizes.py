@@ -88,7 +88,15 @@ def tiff_tags(data: bytes, *wanted: int) -> dict[int, int]:
         struct.error, ValueError: it is cut off.
     """
     order, large = TIFF[data[:4]], data[2:4] in (b"+\0", b"\0+")
-    (first,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, 8 if large else 4)
+
+    def offset(at: int) -> int:
+        """The place in the file that stands at another, which may be any number of 64 bits."""
+        (place,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, at)
+        if place > len(data):
+            raise ValueError("a place behind the end")
+        return int(place)
+
+    first = offset(8 if large else 4)
     (count,) = struct.unpack_from(f"{order}Q" if large else f"{order}H", data, first)
     entry, size, inline = (f"{order}HHQ", 20, 8) if large else (f"{order}HHI", 12, 4)
     first += 8 if large else 2
@@ -100,7 +108,7 @@ def tiff_tags(data: bytes, *wanted: int) -> dict[int, int]:
             continue
         at += size - inline
         if struct.calcsize(_NUMBERS[kind]) * several > inline:
-            (at,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, at)
+            at = offset(at)
         (found[tag],) = struct.unpack_from(f"{order}{_NUMBERS[kind]}", data, at)
     return found
 

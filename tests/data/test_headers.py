@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from jaxfit.data.headers import stored_size
 from jaxfit.data.orientations import orientation_of
 from jaxfit.data.pictures import decode_image
+from jaxfit.data.sizes import decoded_size, is_deep
 
 LOSSLESS_WEBP = (cv2.IMWRITE_WEBP_QUALITY, 101)
 WAYS = [
@@ -145,3 +146,20 @@ def test_orientations_are_those_that_pictures_are_read_by(
         for cut in range(0, len(data), 7):
             assert 1 <= orientation_of(data[:cut]) <= 8
     assert orientation_of(made(_exif_of(9, order), late)) == 1
+
+
+@given(
+    made=st.sampled_from([_png, _webp, _tiff, _large_tiff, _avif]),
+    order=st.sampled_from("<>"),
+    changes=st.lists(st.tuples(st.integers(0, 500), st.integers(0, 255)), max_size=5),
+)
+def test_damaged_orientations_raise_nothing(
+    made: Callable[[bytes, bool], bytes], order: str, changes: list[tuple[int, int]]
+) -> None:
+    data = bytearray(made(_exif_of(6, order), False))
+    for at, value in changes:
+        data[at % len(data)] = value
+    for damaged in (bytes(data), bytes(data).replace(b"\0\0\0\0", b"\xff\xff\xff\xff")):
+        assert 1 <= orientation_of(damaged) <= 8
+        assert decoded_size(damaged) is None or min(decoded_size(damaged) or ()) >= 0
+        assert is_deep(damaged) in (True, False)
