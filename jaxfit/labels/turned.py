@@ -10,16 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import exif_orientation, has_jpeg_header
+from jaxfit.data.headers import has_jpeg_header
 from jaxfit.data.inputs import open_regular
 from jaxfit.data.limits import most_picture_bytes
+from jaxfit.data.orientations import SIDEWAYS, orientation_of
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.scheme import Scheme
 
 _HEAD = 1 << 16  # bytes of a picture that are read first: most JPEG files say by then how they are turned
-_MIRRORED, _SIDEWAYS = (2, 4, 5, 7), (5, 6, 7, 8)
+_MIRRORED = (2, 4, 5, 7)
 _NAMED = 3  # pictures that a notice names
 
 
@@ -30,7 +31,7 @@ def turned_pictures(pictures: Iterable[Path]) -> dict[Path, int]:
         try:
             with open_regular(picture, most_picture_bytes()) as file:
                 head = file.read(_HEAD)
-                orientation = exif_orientation(head if has_jpeg_header(head) else head + file.read())
+                orientation = orientation_of(head if has_jpeg_header(head) else head + file.read())
         except (OSError, ValueError):  # whoever needs the picture says so
             continue
         if orientation != 1:
@@ -50,8 +51,8 @@ def noticed(dataset: Dataset, spec: str, stored: str) -> Dataset:
     if not turned:
         return dataset
     notice = (
-        f"{spec}: EXIF data turn {_named(turned)}: labels are taken for those of the pictures as they are seen; "
-        f"if they belong to the pixels as they are stored, say {stored}"
+        f"{spec}: {_named(turned)}: seen otherwise than stored, as the files say; labels are taken for those of the "
+        f"pictures as they are seen; if they belong to the pixels as they are stored, say {stored}"
     )
     return replace(dataset, problems=(*dataset.problems, notice))
 
@@ -82,7 +83,7 @@ def as_seen(dataset: Dataset) -> Dataset:
 
 def _seen(face: FaceRecord, orientation: int, scheme: Scheme) -> FaceRecord:
     height, width = read_grey(face.image).shape
-    size = (height, width) if orientation in _SIDEWAYS else (width, height)
+    size = (height, width) if orientation in SIDEWAYS else (width, height)
     order = np.arange(scheme.count)
     if orientation in _MIRRORED:  # what was labelled as the right eye is seen as the left one
         if scheme.mirror is None and scheme.count:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxfit.data.names import pictures_named, plain, printable, table_path, table_word, unique_names
+from jaxfit.data.names import each_once, pictures_named, plain, printable, table_path, table_word, unique_names
 from jaxfit.errors import InputError
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="names of files are not any bytes elsewhere")
@@ -44,6 +44,12 @@ def test_names_in_tables_are_text_on_one_line_and_no_formulas(name: str, path: s
 def test_no_two_names_are_spelled_the_same() -> None:
     names = [os.fsdecode(b"\xe9"), r"\xe9", r"\\xe9", "\n", r"\x0a", r"\\x0a"]
     assert len(set(map(plain, names))) == len(names)
+
+
+def test_a_picture_under_several_paths_comes_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    paths = ["a.png", "./a.png", str(tmp_path / "a.png"), "b.png", "nul\0/a.png", "nul\0/a.png"]
+    assert list(map(str, each_once(paths))) == ["a.png", "b.png", "nul\0/a.png"]
 
 
 def test_messages_move_no_cursor() -> None:
