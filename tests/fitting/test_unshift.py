@@ -11,6 +11,7 @@ import jaxfit
 from jaxfit.cli import serve
 from jaxfit.cli.main import main
 from jaxfit.errors import InputError
+from jaxfit.fitting.pipeline import Pipeline
 from jaxfit.runs import BatchFitter, workers
 
 SHIFT = 1.5
@@ -57,18 +58,18 @@ def test_workers_and_the_page_move_fits_too(
     """What fits and serves is replaced: this looks at the models that it gets."""
     shifts = []
 
-    def fit(model: jaxfit.Model, *_: Any, **__: Any) -> jaxfit.Fits:
-        shifts.append(model.cascade.frame.shift)
-        return jaxfit.fit(model, [])
+    def stream(pipeline: Pipeline, *_: Any) -> list[jaxfit.Fits]:
+        shifts.append(pipeline.model.cascade.frame.shift)
+        return [jaxfit.fit(pipeline.model, [])]
 
     def service(models: dict[str, jaxfit.Model], _: Any) -> None:
         shifts.extend(model.cascade.frame.shift for model in models.values())
         raise InputError("seen")
 
-    monkeypatch.setattr(workers, "fit", fit)
+    monkeypatch.setattr(workers, "stream", stream)
     monkeypatch.setattr(serve, "Service", service)
     for unshift in (False, True):
-        BatchFitter("face68", "whole", unshift=unshift)({"image": []})
+        BatchFitter("face68", jaxfit.Fitting("whole"), unshift=unshift)({"image": []})
         assert main(["serve", "--model", "face68", "sdm68", "--detector", "whole", *["--unshift"] * unshift]) == 2
     shift = jaxfit.load("face68").cascade.frame.shift
     assert shift > 0
