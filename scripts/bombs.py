@@ -28,6 +28,7 @@ from jaxfit.data.pictures import find_images, read_image
 from jaxfit.errors import ImageError
 
 _SIDE = int((DEFAULT_MEGAPIXELS * 1e6) ** 0.5) // 8 * 8
+_LESS = int((DEFAULT_MEGAPIXELS / 2.5 * 1e6) ** 0.5) // 8 * 8  # of formats whose pixels count more
 _PICTURE, _AFLW, _MATLAB, _TOML, _MODEL = (
     "jaxfit.data.pictures:read_image",
     "jaxfit.labels.importers.aflw:read_aflw",
@@ -78,13 +79,14 @@ def run(options: argparse.Namespace, report: Report) -> int:
 
 def pictures(report: Report, folder: Path) -> bool:
     """What each picture costs; whether one is over the budget."""
-    rows = [_cost(path, _PICTURE, side) for path, (side, _) in zip(_bombs(folder), PICTURES.values(), strict=True)]
+    paths = _bombs(folder)
+    rows = [_cost(path, _PICTURE, side) for path, (side, _) in zip(paths, PICTURES.values(), strict=True)]
     report.table(
         rows,
         _COSTS,
-        f"Black pictures of about {DEFAULT_MEGAPIXELS:g} megapixels, or of as many as the number of scans allows, read "
-        f"by `read_image`, each in a process of its own. The budget is {_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} "
-        "MiB each.",
+        f"Black pictures, and noise, of nearly as many pixels as are allowed ({DEFAULT_MEGAPIXELS:g} megapixels, fewer "
+        "in some formats), of as many scans, or of as many bytes; read by `read_image`, each in a process of its own. "
+        f"The budget is {_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} MiB each.",
     )
     return any(row["seconds"] > _MOST_SECONDS or row["MiB"] > _MOST_MIB for row in rows)
 
@@ -143,6 +145,7 @@ def _cost(path: Path, read: str, side: int = 0) -> dict[str, Any]:
     """What reading a file costs a process of its own."""
     ended = subprocess.run([sys.executable, "-c", _READ, read, path], capture_output=True, text=True, check=False)
     outcome, seconds, memory = ended.stdout.split() if not ended.returncode else (f"exit {ended.returncode}", 0, 0)
+    print(path.name, ended.stdout.strip() or ended.stderr[-200:], file=sys.stderr, flush=True)
     size = sum(512 * file.stat().st_blocks for file in (path, *path.rglob("*")))  # on the disk
     return {
         "file": path.name,
@@ -158,6 +161,7 @@ def _bombs(folder: Path) -> list[Path]:
     """The files of `PICTURES`, made if they are not there."""
     for name, (_, write) in PICTURES.items():
         if not (folder / name).exists():
+            print(f"making {name} …", file=sys.stderr, flush=True)
             new = write(folder / f"new-{name}")
             new.replace(folder / name)
     return [folder / name for name in PICTURES]
@@ -179,11 +183,16 @@ def _refused(folders: Sequence[str]) -> str:
     return "\n".join([f"Of {len(paths):,} real pictures, {len(why)} are refused.", *(f"- {line}" for line in why[:20])])
 
 
-def _encoded(channels: int = 3, dtype: type = np.uint8, side: int = _SIDE, **options: int) -> Callable[[Path], Path]:
-    """Writes a black picture with OpenCV."""
+def _encoded(
+    channels: int = 3, dtype: type = np.uint8, side: int = _SIDE, noise: bool = False, **options: int
+) -> Callable[[Path], Path]:
+    """Writes a black picture, or noise, with OpenCV."""
 
     def write(path: Path) -> Path:
-        picture: np.ndarray = np.zeros((side, side) if channels == 1 else (side, side, channels), dtype)
+        shape = (side, side) if channels == 1 else (side, side, channels)
+        picture: np.ndarray = np.zeros(shape, dtype)
+        if noise:
+            picture = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
         flags = [value for name, number in options.items() for value in (getattr(cv2, f"IMWRITE_{name}"), number)]
         path.write_bytes(cv2.imencode(path.suffix, picture, flags)[1].tobytes())
         return path
@@ -238,16 +247,28 @@ PICTURES: dict[str, tuple[int, Callable[[Path], Path]]] = {
     "1-bit.png": (_SIDE, _png(1, 0, 1)),
     "8-bit.png": (_SIDE, _png(8, 2, 3)),
     "16-bit-transparent.png": (_SIDE, _png(16, 6, 4)),
+    "16-bit-interlaced.png": (_SIDE, _png(16, 6, 4, interlaced=True)),
     "lossless.webp": (_SIDE, _encoded(WEBP_QUALITY=101)),
     "run-length.bmp": (_SIDE, _run_length_bmp),
     "8-bit.tiff": (_SIDE, _encoded(TIFF_COMPRESSION=8)),
-    "16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, side=_SIDE, TIFF_COMPRESSION=8)),
+    "16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, TIFF_COMPRESSION=8)),
     "plain.gif": (_SIDE, _encoded()),
-    "plain.avif": (_SIDE, _encoded(AVIF_SPEED=10)),
+    "plain.avif": (_LESS, _encoded(side=_LESS, AVIF_SPEED=10)),
+    "12-bit-transparent.avif": (_LESS, _encoded(4, np.uint16, side=_LESS, AVIF_SPEED=10, AVIF_DEPTH=12)),
     "plain.jp2": (_SIDE, _encoded()),
+    "transparent.jp2": (11616, _encoded(4, side=11616)),
     "plain.pgm": (_SIDE, _encoded(1)),
     "plain.hdr": (_SIDE, _encoded(3, np.float32)),
+    "plain.pfm": (_LESS, _encoded(3, np.float32, side=_LESS)),
+    "16-bit.ppm": (_SIDE, _encoded(3, np.uint16)),
+    "raw-16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, TIFF_COMPRESSION=1)),
     "plain.sr": (_SIDE, _encoded()),
+    "noise.jpg": (_SIDE, _encoded(noise=True, JPEG_PROGRESSIVE=1, JPEG_QUALITY=100)),
+    "noise.png": (_SIDE, _encoded(noise=True)),
+    "noise.webp": (_SIDE, _encoded(noise=True, WEBP_QUALITY=100)),
+    "noise.gif": (_SIDE, _encoded(noise=True)),
+    "noise.avif": (_LESS, _encoded(side=_LESS, noise=True, AVIF_SPEED=10, AVIF_QUALITY=86)),
+    "noise.jp2": (4380, _encoded(side=4380, noise=True, JPEG2000_COMPRESSION_X1000=1000)),
 }
 
 

@@ -100,8 +100,10 @@ def killed(report: Report, runs: _Runs, options: argparse.Namespace) -> bool:
             process.communicate()
             kills += 1
             done.append(len(list((out / _CHUNKS).glob("*.jsonl"))))
+            _progress(f"killed {kills} of {options.kills} times, {done[-1]} chunks done")
             continue
         good, whole = good and runs.same("killed"), whole + 1
+        _progress(f"ended by itself: {_outcome(good)}")
         shutil.rmtree(out)
     runs.begin("killed").communicate()
     good = good and runs.same("killed")
@@ -127,6 +129,7 @@ def twins(report: Report, runs: _Runs, _: argparse.Namespace) -> bool:
         words = [process.communicate()[1] for process in there]
         refused += sum("is being written by" in word for word in words)
         good = good and runs.same(out)
+        _progress(f"{count} runs: {_outcome(good)}")
     report.add(
         f"Two, three and four runs into one folder, stopped and continued at random: {refused} were refused while "
         f"another had it, and there was {_outcome(good)}."
@@ -150,9 +153,10 @@ def disk(report: Report, runs: _Runs, options: argparse.Namespace) -> bool:
             ballast.unlink()
         runs.begin(out).communicate()
         good = good and process.returncode == 2 and runs.same(out)
+        _progress(f"room for {room:,} bytes: {_outcome(good)}")
         shutil.rmtree(out)
     report.add(
-        f"{'On a disk' if options.disk else 'With files of at most'} with room for "
+        f"{'On a disk with room for' if options.disk else 'With files of at most'} "
         f"{', '.join(f'{room:,}' for room in _ROOMS)} bytes, runs ended with a sentence, and those after them, with "
         f"enough, with {_outcome(good)}.",
         "\n".join(f"- `{sentence}`" for sentence in sorted(sentences)),
@@ -182,6 +186,10 @@ def threads(report: Report, _: _Runs, options: argparse.Namespace) -> bool:
         f"{min(calls)} times; landmarks were at most {max(apart):.2g} pixels from those of a call alone."
     )
     return max(apart) < 1e-3
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _outcome(same: bool) -> str:

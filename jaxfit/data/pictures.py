@@ -19,7 +19,7 @@ from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpe
 from jaxfit.data.inputs import open_regular, read_regular
 from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.sizes import decoded_size, is_deep, scans_of
+from jaxfit.data.sizes import decoded_size, is_deep, scans_of, slow_bytes, weight_of
 from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -45,7 +45,7 @@ NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
 _ROWS = 1024  # of a picture that are converted at a time
-_QUICK = 8_000_000  # pixels, times scans, that take well under two seconds in any format
+_QUICK = 8_000_000  # pixels, times scans, and slow bytes that take under two seconds in any format
 _LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 
 
@@ -114,15 +114,15 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         raise ImageError(f"{source}: {complaint}")
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
-    size, scans = decoded_size(data), scans_of(data)
+    size, scans, weight, slow = decoded_size(data), scans_of(data), weight_of(data), slow_bytes(data)
     width, height = size or (0, 0)
-    if complaint := size_problem(width, height, scans):
+    if complaint := size_problem(width, height, scans, weight, slow):
         raise ImageError(f"{source}: {complaint}")
-    count_picture(width * height)
+    count_picture(round(width * height * weight))
     if is_heic(data):
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
-    decode = partial(_by_opencv, source, data, long=width * height * scans > _QUICK)
+    decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
     # Without a size it may be whatever it is: nobody knows how much would come of it.
     picture = None if size is None else decode(flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is None:

@@ -14,12 +14,14 @@ _PAM = re.compile(rb"P7\s.*?WIDTH\s+(\d{1,9}).*?HEIGHT\s+(\d{1,9})", re.DOTALL)
 _RADIANCE = re.compile(rb"#\?.*?\n\n[+-]Y (\d{1,9}) [+-]X (\d{1,9})\n", re.DOTALL)
 _SUN = b"\x59\xa6\x6a\x95"
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
+_FLOATS = (b"PF", b"Pf")  # Netpbm's
+_HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
 _HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
 
 
 def decoded_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels of what a decoder would make of a picture, tiles of TIFF files included; None of what
-    no decoder here reads."""
+    """Width and height in pixels of what a decoder would make of a picture, or of a larger tile of a TIFF file; None of
+    what no decoder here reads."""
     try:
         return stored_size(data) or _other_size(data)
     except (struct.error, ValueError):  # the header is cut off
@@ -31,6 +33,24 @@ def scans_of(data: bytes) -> int:
     if not data.startswith(JPEG):
         return 1
     return max(1, sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data)))
+
+
+def weight_of(data: bytes) -> float:
+    """As how many pixels one of a picture counts, for the memory that its format takes: 1, or more."""
+    if data[:4] in _TIFF:
+        try:
+            tags = dict(_tags(data))
+        except (struct.error, ValueError):
+            return 1.0
+        return float(max(1, tags.get(_BITS, 8) * min(tags.get(_SAMPLES, 1), 64) // 48))  # a pixel may have many numbers
+    if (at := _codestream(data)) is not None:
+        return max(1.0, int.from_bytes(data[at + 40 : at + 42]) / 3)  # of 32 bits, however many it says
+    return _HEAVY if _is_iso(data) or data[:2] in _FLOATS else 1.0
+
+
+def slow_bytes(data: bytes) -> int:
+    """How many bytes of a picture are coded so densely that each takes long; 0 of most formats."""
+    return len(data) if _is_iso(data) or _codestream(data) is not None else 0
 
 
 def is_deep(data: bytes) -> bool:
@@ -51,10 +71,11 @@ def _other_size(data: bytes) -> tuple[int, int] | None:
     if data[:4] == b"GIF8":
         width, height = struct.unpack_from("<HH", data, 6)
         return width, height
-    if data[4:8] == b"ftyp" and data[8:12] in ISO_PICTURES:
+    if _is_iso(data):
         return largest_item(data)
-    if data[:4] == _CODESTREAM or data[4:8] == b"jP  ":
-        return _jpeg_2000_size(data)
+    if (at := _codestream(data)) is not None:
+        right, bottom, left, top = struct.unpack_from(">IIII", data, at + 8)
+        return max(0, right - left), max(0, bottom - top)
     if data[:4] == _SUN:
         width, height = struct.unpack_from(">II", data, 4)
         return width, height
@@ -68,10 +89,9 @@ def _other_size(data: bytes) -> tuple[int, int] | None:
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
     tags = dict(_tags(data))
     width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
-    # A small picture may be cut from a tile of any size, and a pixel may have many numbers.
+    # A small picture may be cut from a tile of any size.
     tile = (tags.get(_TILE_WIDTH, 0), tags.get(_TILE_HEIGHT, 0))
-    width, height = max((width, height), tile, key=lambda size: size[0] * size[1])
-    return width * max(1, tags.get(_BITS, 8) * min(tags.get(_SAMPLES, 1), 64) // 48), height
+    return max((width, height), tile, key=lambda size: size[0] * size[1])
 
 
 def _tags(data: bytes) -> Iterator[tuple[int, int]]:
@@ -93,9 +113,24 @@ def _tags(data: bytes) -> Iterator[tuple[int, int]]:
         yield tag, value
 
 
-def _jpeg_2000_size(data: bytes) -> tuple[int, int] | None:
-    at = data.find(_CODESTREAM)
-    if at < 0:
+def _is_iso(data: bytes) -> bool:
+    """Whether a file is HEIC or AVIF."""
+    return data[4:8] == b"ftyp" and data[8:12] in ISO_PICTURES
+
+
+def _codestream(data: bytes) -> int | None:
+    """Where the pixels of a JPEG 2000 file begin, with their size; None of other files."""
+    if data.startswith(_CODESTREAM):
+        return 0
+    if data[4:8] != b"jP  ":
         return None
-    right, bottom, left, top = struct.unpack_from(">IIII", data, at + 8)
-    return max(0, right - left), max(0, bottom - top)
+    at = 0
+    while at + 16 <= len(data):  # boxes, which say how long they are
+        size, kind = struct.unpack_from(">I4s", data, at)
+        size, head = (struct.unpack_from(">Q", data, at + 8)[0], 16) if size == 1 else (size, 8)
+        if kind == b"jp2c":
+            return at + head
+        if size < head:
+            break
+        at += size
+    return None
