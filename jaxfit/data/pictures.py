@@ -44,7 +44,7 @@ Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures 
 NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
-_ROWS = 1024  # of a picture that are converted at a time
+_ROWS = 64  # of a picture that are converted at a time: they stay in the cache
 _QUICK = 8_000_000  # pixels, times scans, and slow bytes that take under two seconds in any format
 _LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
 

@@ -4,7 +4,16 @@ import re
 import struct
 from collections.abc import Iterator
 
-from jaxfit.data.headers import ISO_PICTURES, JPEG, PNG, START_OF_SCAN, jpeg_markers, largest_item, stored_size
+from jaxfit.data.headers import (
+    ISO_PICTURES,
+    JPEG,
+    PNG,
+    START_OF_FRAME,
+    START_OF_SCAN,
+    jpeg_markers,
+    largest_item,
+    stored_size,
+)
 
 _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}  # the order of bytes; with a plus, large files
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 322, 323
@@ -14,6 +23,7 @@ _PAM = re.compile(rb"P7\s.*?WIDTH\s+(\d{1,9}).*?HEIGHT\s+(\d{1,9})", re.DOTALL)
 _RADIANCE = re.compile(rb"#\?.*?\n\n[+-]Y (\d{1,9}) [+-]X (\d{1,9})\n", re.DOTALL)
 _SUN = b"\x59\xa6\x6a\x95"
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
+_SEQUENTIAL = (0xC0, 0xC1, 0xC9)  # of JPEG's frames
 _FLOATS = (b"PF", b"Pf")  # Netpbm's
 _HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
 _HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
@@ -30,9 +40,25 @@ def decoded_size(data: bytes) -> tuple[int, int] | None:
 
 def scans_of(data: bytes) -> int:
     """How often a decoder goes through a picture: the scans of a JPEG file, 1 of all else."""
-    if not data.startswith(JPEG):
+    if not data.startswith(JPEG) or _has_one_scan(data):
         return 1
     return max(1, sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data)))
+
+
+def _has_one_scan(jpeg: bytes) -> bool:
+    """Whether a JPEG is neither progressive nor has a scan for each colour: what comes after its scan is not decoded.
+
+    Going through all of it for other markers would take as long as a twentieth of decoding it.
+    """
+    colours = None
+    for marker, at in jpeg_markers(jpeg):
+        if marker in START_OF_FRAME:
+            if marker not in _SEQUENTIAL:
+                return False
+            colours = jpeg[at + 7 : at + 8]
+        elif marker == START_OF_SCAN:
+            return colours is not None and jpeg[at + 2 : at + 3] == colours
+    return False
 
 
 def weight_of(data: bytes) -> float:

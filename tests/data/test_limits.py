@@ -130,6 +130,9 @@ def test_scans_of_a_jpeg_are_counted() -> None:
     usual = encoded(".jpg", JPEG_PROGRESSIVE=1)
     assert 5 < scans_of(usual) < 15
     assert scans_of(encoded(".jpg")) == 1
+    colours = encoded(".jpg").replace(b"\xff\xda\0\x0c\x03", b"\xff\xda\0\x08\x01")  # each in its own scan
+    at = colours.rindex(b"\xff\xda")
+    assert scans_of(colours[:at] + colours[at:-2] * 200 + colours[-2:]) == 200
     decode_image(usual)
     at = usual.rindex(b"\xff\xda")  # the last scan, again and again
     bomb = usual[:at] + usual[at:-2] * 200 + usual[-2:]
