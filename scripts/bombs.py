@@ -63,6 +63,7 @@ _MOST_SECONDS, _MOST_MIB = 30.0, 3072.0  # of a picture
 def main() -> int:
     parser = script_parser(__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--only", nargs="+", choices=PICTURES, default=list(PICTURES), metavar="FILE")
     parser.add_argument("--folder", metavar="DIR", help="where the bombs are, or are made, and stay")
     parser.add_argument("--pictures", nargs="*", default=[], metavar="DIR", help="real ones, none of which is a bomb")
     return measure(run, parser.parse_args())
@@ -71,16 +72,15 @@ def main() -> int:
 def run(options: argparse.Namespace, report: Report) -> int:
     with ExitStack() as stack:
         folder = Path(options.folder or stack.enter_context(tempfile.TemporaryDirectory()))
-        over = [PARTS[name](report, folder) for name in options.parts]
+        over = [PARTS[name](report, folder, options.only) for name in options.parts]
     if options.pictures:
         report.add(_refused(options.pictures))
     return int(any(over))
 
 
-def pictures(report: Report, folder: Path) -> bool:
+def pictures(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """What each picture costs; whether one is over the budget."""
-    paths = _bombs(folder)
-    rows = [_cost(path, _PICTURE, side) for path, (side, _) in zip(paths, PICTURES.values(), strict=True)]
+    rows = [_cost(path, _PICTURE, PICTURES[path.name][0]) for path in _bombs(folder, only)]
     report.table(
         rows,
         _COSTS,
@@ -91,7 +91,7 @@ def pictures(report: Report, folder: Path) -> bool:
     return any(row["seconds"] > _MOST_SECONDS or row["MiB"] > _MOST_MIB for row in rows)
 
 
-def others(report: Report, folder: Path) -> bool:
+def others(report: Report, folder: Path, _: Sequence[str]) -> bool:
     """What files cost that are no pictures; whether one is read."""
     with tempfile.TemporaryDirectory(dir=folder) as name:
         rows = [_cost(write(Path(name) / file), read) for file, (read, write) in OTHERS.items()]
@@ -100,9 +100,9 @@ def others(report: Report, folder: Path) -> bool:
     return any(row["outcome"] != "refused" for row in rows)
 
 
-def whole(report: Report, folder: Path) -> bool:
+def whole(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """What `jaxfit fit` takes for all of the pictures."""
-    paths = _bombs(folder)
+    paths = _bombs(folder, only)
     with tempfile.TemporaryDirectory(dir=folder) as name:
         begun = time.monotonic()
         process = _fit(paths, Path(name))
@@ -112,15 +112,15 @@ def whole(report: Report, folder: Path) -> bool:
         process.returncode = os.waitstatus_to_exitcode(status)
         seconds = time.monotonic() - begun
     report.add(
-        f"`jaxfit fit` goes through all {len(paths)} pictures in {seconds:.0f} seconds, and holds at most "
+        f"`jaxfit fit` goes through {len(paths)} pictures in {seconds:.0f} seconds, and holds at most "
         f"{used.ru_maxrss / 1024:,.0f} MiB, JAX and the model included."
     )
     return process.returncode not in (0, 1)  # without a face in any of them
 
 
-def stopped(report: Report, folder: Path) -> bool:
+def stopped(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """How soon `jaxfit fit` hears Ctrl-C; whether it is too late."""
-    paths, late = _bombs(folder), []
+    paths, late = _bombs(folder, only), []
     for delay in _DELAYS:
         with tempfile.TemporaryDirectory(dir=folder) as name:
             process = _fit(paths, Path(name))
@@ -157,14 +157,14 @@ def _cost(path: Path, read: str, side: int = 0) -> dict[str, Any]:
     }
 
 
-def _bombs(folder: Path) -> list[Path]:
+def _bombs(folder: Path, only: Sequence[str]) -> list[Path]:
     """The files of `PICTURES`, made if they are not there."""
-    for name, (_, write) in PICTURES.items():
+    for name in only:
         if not (folder / name).exists():
             print(f"making {name} …", file=sys.stderr, flush=True)
-            new = write(folder / f"new-{name}")
+            new = PICTURES[name][1](folder / f"new-{name}")
             new.replace(folder / name)
-    return [folder / name for name in PICTURES]
+    return [folder / name for name in only]
 
 
 def _fit(pictures: Sequence[Path], out: Path) -> subprocess.Popen[str]:

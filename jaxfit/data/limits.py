@@ -25,7 +25,7 @@ def at_most_megapixels(megapixels: float) -> Iterator[None]:
     """Read pictures of up to so many million pixels; larger ones are problems. Without this, it is 180.
 
     Pictures that are fitted at the same time have at most as many together. Memory and time grow with it;
-    ``scripts/bombs.py`` measures how.
+    ``scripts/bombs.py`` measures how. Pixels of AVIF, HEIC, floats, and JPEG 2000 with transparency count more.
 
     Raises:
         InputError: it is not positive, or over 1000.
