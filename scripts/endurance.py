@@ -126,6 +126,7 @@ def twins(report: Report, runs: _Runs, _: argparse.Namespace) -> bool:
                 process.send_signal(signal.SIGSTOP)
                 time.sleep(runs.chance.random())
                 process.send_signal(signal.SIGCONT)
+                time.sleep(runs.chance.random())
         words = [process.communicate()[1] for process in there]
         refused += sum("is being written by" in word for word in words)
         good = good and runs.same(out)
