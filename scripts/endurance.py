@@ -133,7 +133,7 @@ def twins(report: Report, runs: _Runs, _: argparse.Namespace) -> bool:
         _progress(f"{count} runs: {_outcome(good)}")
     report.add(
         f"Two, three and four runs into one folder, stopped and continued at random: {refused} were refused while "
-        f"another had it, and there was {_outcome(good)}."
+        f"another had it, and each folder held {_outcome(good)}."
     )
     return good
 
@@ -169,7 +169,7 @@ def threads(report: Report, _: _Runs, options: argparse.Namespace) -> bool:
     """Eight threads fit at a time."""
     model = jaxfit.load(_MODEL)
     pictures = [np.random.default_rng(number).integers(0, 255, (_SIDE, _SIDE), np.uint8) for number in range(8)]
-    boxes = [np.array([[0, 0, _SIDE, _SIDE]])] * 8
+    boxes = np.array([[0, 0, _SIDE, _SIDE]] * 8)
     alone = jaxfit.fit(model, pictures, boxes).landmarks
     end = time.monotonic() + options.seconds
 
