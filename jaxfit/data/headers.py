@@ -17,7 +17,7 @@ _BEGINNINGS = re.compile(
 )
 BEGINNING = 64  # bytes of a file that tell whether it is a picture
 END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
-_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
+START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
 # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan; 0x01 has no
 # segment either.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xff\xd0-\xd7])", re.DOTALL)
@@ -86,7 +86,7 @@ def has_jpeg_header(data: bytes) -> bool:
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     for marker, at in jpeg_markers(data):
-        if marker in _START_OF_FRAME:
+        if marker in START_OF_FRAME:
             height, width = struct.unpack_from(">HH", data, at + 3)
             return width, height
         if marker in (START_OF_SCAN, END_OF_IMAGE):

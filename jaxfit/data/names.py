@@ -177,7 +177,7 @@ def pictures_named(
             folder, file = os.path.split(path)
             there = {os.path.join(real(os.path.join(base, folder)), file) for base in bases}
             meant = (
-                there.intersection(places)
+                {place for place in there if place in places}  # set.intersection goes through all places
                 or {*by_end.ending(path)}
                 or {place for each in there for place in composed.get(_composed(each), ())}
                 or {place for each in composed_by_end.ending(_composed(path)) for place in composed[each]}

@@ -21,7 +21,7 @@ from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.names import each_once
 from jaxfit.data.orientations import as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of
+from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of, slow_bytes, weight_of
 from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -47,8 +47,8 @@ NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
 _OF_CAMERAS = 14  # bits; pictures of 16 that use no more hold the numbers of a camera, or of 8 bits
-_ROWS = 1024  # of a picture that are converted at a time
-_QUICK = 8_000_000  # pixels, times scans, that take well under two seconds in any format
+_ROWS = 64  # of a picture that are converted at a time: they stay in the cache
+_QUICK = 8_000_000  # pixels, times scans, and slow bytes that take under two seconds in any format
 
 
 def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
@@ -118,15 +118,15 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         raise ImageError(f"{source}: {complaint}")
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
-    size, scans = decoded_size(data), scans_of(data)
+    size, scans, weight, slow = decoded_size(data), scans_of(data), weight_of(data), slow_bytes(data)
     width, height = size or (0, 0)
-    if complaint := size_problem(width, height, scans):
+    if complaint := size_problem(width, height, scans, weight, slow):
         raise ImageError(f"{source}: {complaint}")
-    count_picture(width * height)
+    count_picture(round(width * height * weight))
     if is_heic(data):
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
-    decode = partial(_by_opencv, source, data, long=width * height * scans > _QUICK)
+    decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
     # Without a size it may be whatever it is: nobody knows how much would come of it.
     picture = None if size is None else decode(flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is not None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:

@@ -71,6 +71,18 @@ def test_many_pictures_of_one_name_are_named_and_found_in_linear_time() -> None:
     assert time.process_time() - begun < 5
 
 
+def test_names_are_found_in_linear_time_relative_to_a_folder() -> None:
+    def seconds(count: int) -> float:
+        pictures = [Path(f"/nowhere/{number:05}/0001.jpg") for number in range(count)]
+        begun = time.process_time()
+        meant = pictures_named([f"{number:05}/0001.jpg" for number in range(count)], pictures, ["/nowhere"])
+        assert len(meant) == count
+        return time.process_time() - begun
+
+    once = min(seconds(1000) for _ in range(3))
+    assert seconds(8000) < 20 * once  # with the square of the number, 44 times as long
+
+
 PICTURES = ("p1/001.jpg", "p2/001.jpg", "p2/deep/p1/001.jpg", "p1/002.jpg", "003.jpg", "p1/003.jpg", "=4.jpg")
 
 
