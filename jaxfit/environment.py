@@ -16,7 +16,7 @@ def require_importable_jax() -> None:
     try:
         import jax  # noqa: F401 - as all modules do after this
     except ValueError as error:
-        message = f"JAX cannot be imported: {error}; {jax_settings()}: correct them, or unset them"
+        message = f"JAX cannot be imported: {error}{jax_settings()}"
         if _is_command():
             print(f"jaxfit: error: {message}", file=sys.stderr)
             sys.exit(2)
@@ -24,13 +24,14 @@ def require_importable_jax() -> None:
 
 
 def jax_settings() -> str:
-    """What the environment sets of JAX, in words."""
+    """What the environment sets of JAX and what to do about it, as the end of a sentence; empty if it sets nothing."""
     found = [f"{name}={value}" for name, value in sorted(os.environ.items()) if name.startswith("JAX_")]
-    return f"the environment sets {', '.join(found)}" if found else "the environment sets nothing of JAX"
+    return f"; the environment sets {', '.join(found)}: correct what is wrong, or unset it" if found else ""
 
 
 def _is_command() -> bool:
     """Whether this process runs the ``jaxfit`` command: nobody could catch what is raised."""
     words = sys.orig_argv[1:]
-    module = words[words.index("-m") + 1 :][:1] if "-m" in words else []
-    return module == ["jaxfit"] or Path(sys.argv[0]).stem == "jaxfit"
+    while words and words[0].startswith("-") and words[0] != "-m":  # the interpreter's own options
+        words = words[1:]
+    return words[:2] == ["-m", "jaxfit"] or any(Path(name).name in ("jaxfit", "jaxfit.exe") for name in sys.argv[:1])

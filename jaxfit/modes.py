@@ -63,9 +63,7 @@ def _require_device() -> None:
     except Exception as error:  # which one depends on the platform
         reason = str(error).partition("(set JAX_PLATFORMS")[0].strip() or type(error).__name__
         if not platforms:
-            raise InputError(
-                f"JAX cannot compute here: {reason}; {jax_settings()}: correct them, or unset them"
-            ) from None
+            raise InputError(f"JAX cannot compute here: {reason}{jax_settings()}") from None
         raise InputError(
             f"JAX cannot compute on {platforms!r}, which JAX_PLATFORMS or jax_platforms asks for: {reason}; expected "
             'a platform that JAX is installed for, such as "cpu", or none, so that JAX chooses'

@@ -128,7 +128,7 @@ def test_a_fork_after_others_have_computed_ends_with_a_sentence(drawn_model: Pat
 )
 def test_settings_that_jax_refuses_are_one_sentence(setting: str) -> None:
     name, _, value = setting.partition("=")
-    expected = re.compile(rf"JAX cannot be imported: .*{value}.*; the environment sets .*{setting}.*: correct them")
+    expected = re.compile(rf"JAX cannot be imported: .*{value}.*; the environment sets .*{setting}.*: correct what is")
     for words, code in ((["-m", "jaxfit", "models"], 2), (["-c", "import jaxfit"], 1)):
         environment = os.environ | {name: value}
         ran = subprocess.run(

@@ -122,9 +122,10 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
             "refine": options.refine,
             "passes": plan.pipeline.passes,
         }
-        json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
+        settings = {"model": options.model, **settings}
+        json.dump(settings | {"datasets": reports}, file, indent=2)
     write_csv(folder / _WRITTEN[1], FACE_COLUMNS, face_rows(results))
-    if replaced := replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)}):
+    if replaced := replace_results(folder, _COMMAND, _WRITTEN, settings | {"data": list(reports)}):
         say(replaced)
     report_problems(
         [problem for dataset in datasets for problem in dataset.problems]

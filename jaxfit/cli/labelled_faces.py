@@ -4,7 +4,6 @@ import argparse
 
 from jaxfit.cli.arguments import add_datasets
 from jaxfit.cli.progress import say
-from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.labels.gather import LabelledFaces, gather_faces
 
@@ -55,10 +54,8 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     """The faces that the arguments name; what was done to get them is printed.
 
     Raises:
-        InputError, DatasetError: as `jaxfit.labels.gather_faces`, or ``--lift-yaw`` without ``--lift``.
+        InputError, DatasetError: as `jaxfit.labels.gather_faces`.
     """
-    if arguments.lift_yaw and not arguments.lift:
-        raise InputError("--lift-yaw says which faces of --lift are taken; give that too")
     found = gather_faces(
         arguments.data,
         scheme=arguments.scheme,

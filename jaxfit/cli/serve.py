@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from jaxfit.cli.arguments import add_unshift
-from jaxfit.cli.progress import say
+from jaxfit.cli.progress import say, warn
 from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
@@ -50,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     if options.unshift:
         still = [name for name, model in loaded.items() if not model.cascade.frame.shift]
         if still:
-            say(f"--unshift: no shift of labels is known of {', '.join(still)}: their fits stay where they are")
+            warn([f"--unshift: no shift of labels is known of {', '.join(still)}: their fits stay where they are"])
         loaded = {name: model.unshifted() for name, model in loaded.items()}
     service = Service(loaded, _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:

@@ -24,6 +24,7 @@ from jaxfit.errors import InputError
 MANIFEST = "manifest.json"  # of a folder of results: what a run wrote, which command it was, and when
 _SPELLED = "jaxfit.spelled"
 # What files are called until they are whole, and folders until they are gone.
+_DIGEST = re.compile(r"[0-9a-f]{16}")  # as run folders' settings have them
 _HIDDEN = re.compile(r"\.[0-9a-f]{16}\.tmp(\.\w+)?")
 
 
@@ -171,6 +172,8 @@ def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") 
         was, is_now = before.get(key), now.get(key)
         if isinstance(was, dict) and isinstance(is_now, dict):
             yield from _differences(was, is_now, f"{within}{key}.")
+        elif was != is_now and all(isinstance(value, str) and _DIGEST.fullmatch(value) for value in (was, is_now)):
+            yield f"{within}{key}: others"
         elif was != is_now:
             values = ("none" if value is None else json.dumps(value) for value in (was, is_now))
             yield f"{within}{key}: {' there, '.join(values)} here"

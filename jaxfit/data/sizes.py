@@ -173,8 +173,8 @@ def _codestream(data: bytes) -> int | None:
             break
         size, kind = struct.unpack_from(">I4s", data, at)
         size, head = (struct.unpack_from(">Q", data, at + 8)[0], 16) if size == 1 else (size, 8)
-        if kind == b"jp2c":
-            return at + head
+        if kind == b"jp2c":  # decoders pass over other segments, which are not looked at here: they could say anything
+            return at + head if data.startswith(_CODESTREAM, at + head) else None
         if size < head:
             break
         at += size

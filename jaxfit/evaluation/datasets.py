@@ -18,7 +18,7 @@ from jaxfit.evaluation.evaluate import Evaluation, fit_labelled, measure, requir
 from jaxfit.evaluation.pose import pose_report
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.fitting.given_boxes import read_known_boxes
-from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets
 from jaxfit.labels.records import Dataset
@@ -58,6 +58,9 @@ class EvaluationRun:
     scheme: str | None = None
     normaliser: str | None = None
     refine: bool = False
+
+    def __post_init__(self) -> None:
+        require_fitting(self.fitting)
 
 
 @dataclass(frozen=True)
@@ -160,15 +163,18 @@ def plan_evaluation(model: Model, specs: Sequence[str], run: EvaluationRun = Eva
         fitting.require_given_boxes()
     if fitting.detector is None and fitting.search != Search():
         raise InputError(
-            "expected a --detector with --smallest, --score or --any-rotation; got none: name it (Fitting.detector), "
-            "or leave these out"
+            "expected a detector with smallest, score or any rotation, which say how it looks for faces; got none: "
+            "name it, or leave these out"
         )
     if run.refine:
         require_refinable(model)
     boxes, unused = (None, []) if named is None else _boxes_of_pictures(run.boxes, named, datasets)
     if fitting.detector is not None:
         detector = fitting.finder()
-        of_boxes, rough = str(fitting.settings()["detector"]), detector.rough
+        for kind in detector.kinds:  # before any picture is searched
+            model.placement(kind)
+        of_boxes = fitting.detector if isinstance(fitting.detector, str) else ", ".join(detector.kinds)
+        rough = detector.rough
     elif named is not None:
         kinds = {box.kind for several in named.values() for box in several}
         detector, of_boxes, rough = None, ", ".join(sorted(kinds)) or SQUARE, all_rough(kinds)

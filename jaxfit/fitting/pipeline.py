@@ -41,6 +41,16 @@ class Pipeline:
             self.model.placement(kind)
 
 
+def require_fitting(fitting: Any) -> None:
+    """Check that it is a `Fitting`: a detector's name alone would be missed only when the work has begun.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(fitting, Fitting):
+        raise InputError(f"expected jaxfit.Fitting(detector=...), how faces are found and fitted; got {fitting!r:.60}")
+
+
 @dataclass(frozen=True)
 class Fitting:
     """How faces are found and fitted, whatever the model: what folder runs, workers and commands are given.

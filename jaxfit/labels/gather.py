@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from jaxfit.errors import InputError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
@@ -56,10 +57,15 @@ def gather_faces(
         head_model: a bundled one's name, or a file.
 
     Raises:
-        InputError: datasets of several schemes, one that is named twice, or labels that cannot be converted.
+        InputError: no datasets, some of several schemes, one that is named twice, labels that cannot be converted, or
+            ``lift_yaw`` without ``lift``.
         DatasetError: a dataset cannot be read.
         ModelError: no such head model.
     """
+    if not data:
+        raise InputError("expected datasets to learn from; got none")
+    if lift_yaw and not lift:
+        raise InputError("lift_yaw says which faces of the datasets to lift are taken; give these (lift) too")
     datasets = read_datasets(data, scheme)
     target = shared_scheme(datasets)
     parts = [list(dataset.faces) for dataset in datasets]

@@ -24,6 +24,7 @@ _DETECTOR = "haar-frontal"
 # Measures the boxes of datasets without landmarks, and what models it can tell them to.
 _CALIBRATOR, CALIBRATED = "sdm68", IBUG68
 _FEWEST = 10
+_SHOWN = 3  # problems that an error names
 # Degrees of labelled pitch and yaw up to which a head looks straight ahead.
 _FRONTAL = 15
 
@@ -65,7 +66,10 @@ def calibrate_boxes(
     if not any(face.box is not None for face in faces):
         raise InputError("expected faces with boxes, to learn how faces lie in them; got none")
     fitted, problems = _fitted_in_boxes(model, faces, progress)
-    return Calibrated(_placement(model, list(fitted.values())), len(fitted), problems)
+    try:
+        return Calibrated(_placement(model, list(fitted.values())), len(fitted), problems)
+    except InputError as error:
+        raise InputError("; ".join([str(error), *problems[:_SHOWN]])) from None
 
 
 class _Fitted(NamedTuple):

@@ -62,10 +62,12 @@ def same_pictures(tested: Iterable[Path], pictures: Iterable[Path]) -> dict[Path
 
 
 def _header_size(path: Path) -> object:
-    """The sides of a picture, as far as its first bytes say, the shorter first, as it may be turned."""
+    """The sides of a picture, as its header says, the shorter first, as it may be turned; nothing if it cannot be
+    read."""
     try:
         with open_regular(path) as file:
-            return tuple(sorted(decoded_size(file.read(_HEAD)) or ()))
+            head = file.read(_HEAD)
+            return tuple(sorted(decoded_size(head) or decoded_size(head + file.read()) or ()))
     except (OSError, ValueError):
         return ()
 

@@ -149,6 +149,7 @@ def _settings(fitter: BatchFitter) -> dict[str, Any]:
         **fitter.fitting.settings(),
         "detector": fitter.fitting.detector or DEFAULT_DETECTOR,
         "refine": fitter.refine,
+        "unshift": fitter.unshift,
         "max_megapixels": fitter.max_megapixels,
         **file_digests(fitter.model, run_files(fitter.model, fitter.fitting)),
     }

@@ -34,7 +34,7 @@ from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, PTS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.given_boxes import read_known_boxes
-from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
@@ -95,6 +95,9 @@ class FolderRun:
     contact_sheet: bool = False
     min_confidence: float | None = None
     overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        require_fitting(self.fitting)
 
     def files(self) -> dict[str, Path]:
         """The files beside the pictures that the run reads, by what they are."""
@@ -227,7 +230,12 @@ def _fit_held(
     written += ["problems.csv", *([_OVERLAYS] if run.overlays else [])]
     others = _unaccounted(out) if run.overwrite else []
     of_picture = dict(zip(map(str, files), labels, strict=True))
-    replaced = replace_results(out, _COMMAND, _files(out, written, rows, fitted, of_picture), settings, others)
+    said = settings | {
+        "formats": list(run.formats),
+        "contact_sheet": run.contact_sheet,
+        "min_confidence": run.min_confidence,
+    }
+    replaced = replace_results(out, _COMMAND, _files(out, written, rows, fitted, of_picture), said, others)
     written.append(MANIFEST)
     unfinished.discard()
     paths = tuple(out / name for name in written)

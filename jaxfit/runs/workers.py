@@ -18,7 +18,7 @@ from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
 from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Fits
-from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
@@ -53,6 +53,7 @@ class BatchFitter:
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
         read_named(self.model, BUNDLED, "model")
+        require_fitting(self.fitting)
         self.fitting.settings()
         self.fitting.finder()
         with at_most_megapixels(self.max_megapixels):  # if it is a number that may be

@@ -72,6 +72,12 @@ def test_searches_that_make_no_sense_are_refused(bad):
         Search(**bad)
 
 
+@pytest.mark.parametrize("wrong", ["", "nose", "haar:file.xml"])
+def test_what_is_no_detector_is_refused(wrong):
+    with pytest.raises(InputError, match=r"expected a detector.*yunet:FILE"):
+        detector_named(wrong)
+
+
 def test_the_smallest_face_grows_with_the_picture_unless_it_is_given():
     assert Search().smallest_in((300, 400)) == 24
     assert Search().smallest_in((3000, 4000, 3)) == pytest.approx(np.sqrt(12e6) / 60)

@@ -126,6 +126,18 @@ def test_bombs_are_refused_by_their_headers(name: str) -> None:
         decode_image(BOMBS[name])
 
 
+def test_sizes_that_a_decoder_may_not_take_are_not_believed() -> None:
+    """OpenJPEG passes over segments that it does not know, whatever they seem to say."""
+    pixels = encoded(".jp2")
+    at = pixels.index(b"jp2c") + 4
+    unknown = b"\xff\x6f" + codestream(8, 3)[4:49]
+    hidden = pixels[: at + 2] + unknown + pixels[at + 2 :]
+    assert decoded_size(pixels) is not None
+    assert decoded_size(hidden) is None
+    with pytest.raises(ImageError, match="not a picture"):
+        decode_image(hidden)
+
+
 def test_scans_of_a_jpeg_are_counted() -> None:
     usual = encoded(".jpg", JPEG_PROGRESSIVE=1)
     assert 5 < scans_of(usual) < 15

@@ -58,7 +58,7 @@ def test_fits_start_in_boxes_of_the_kind_that_was_asked_for(
 @pytest.mark.parametrize(
     ("run", "words"),
     [
-        (EvaluationRun(Fitting(search=jaxfit.Search(score=0.5))), "expected a --detector with .*; got none"),
+        (EvaluationRun(Fitting(search=jaxfit.Search(score=0.5))), "expected a detector with .*; got none"),
         (EvaluationRun(Fitting("haar"), boxes="boxes.csv"), "boxes or a detector that finds them; got both"),
         (EvaluationRun(Fitting("nose")), "expected a detector among"),
         (EvaluationRun(box_kind="whole"), "give that file too"),

@@ -78,6 +78,8 @@ def test_labels_of_faces_that_were_fitted_find_their_picture(tmp_path):
         write_pts_face(tmp_path, stem)
     for stem in ("a_1", "a_2"):
         write_pts_face(tmp_path, stem, picture="")
+    (tmp_path / "d.jpg").write_bytes((tmp_path / "a.jpg").read_bytes())
+    (tmp_path / "d.pts").write_text("damaged")
     for stem in ("a", "c"):
         (tmp_path / f"{stem}.pts").unlink()
     dataset = read_pts_folder(tmp_path)
@@ -89,7 +91,8 @@ def test_labels_of_faces_that_were_fitted_find_their_picture(tmp_path):
         "b_1": ("b_1.jpg", "b"),
         "d_1": ("d_1.jpg", "d"),
     }
-    (problem,) = dataset.problems
+    damaged, problem = dataset.problems
+    assert str(tmp_path / "d.pts") in damaged
     assert f"{tmp_path / 'c_2.pts'}: may belong to {tmp_path / 'c_2.jpg'} or" in problem
     assert str(tmp_path / "c.jpg") in problem
 

@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -38,14 +39,26 @@ def test_digests_are_those_of_pixels(tmp_path: Path) -> None:
 
 def test_renamed_copies_are_known_by_their_pixels(tmp_path: Path) -> None:
     tall = np.random.default_rng(1).integers(0, 255, (12, 9, 3), np.uint8)
-    pictures = {"a.png": tall, "copy.bmp": tall, "other.png": 255 - tall, "turned.png": tall.swapaxes(0, 1)}
+    pictures = {
+        "a.png": tall,
+        "copy.bmp": tall,
+        "copy.tiff": tall,
+        "other.png": 255 - tall,
+        "turned.png": tall.swapaxes(0, 1),
+    }
     for name, picture in pictures.items():
         write_image(tmp_path / name, picture)
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "damaged.png").write_bytes((tmp_path / "a.png").read_bytes()[:-20])
     tested = [tmp_path / name for name in ("missing.png", "empty.png", "a.png")]
     others = [tmp_path / name for name in (*pictures, "gone.png", "damaged.png") if name != "a.png"]
-    assert same_pictures(tested, others) == {tmp_path / "copy.bmp": tmp_path / "a.png"}
+    large = np.random.default_rng(2).integers(0, 255, (200, 150, 3), np.uint8)  # TIFF says at its end how large it is
+    write_image(tmp_path / "large.png", large)
+    cv2.imwrite(str(tmp_path / "large.tiff"), large[:, :, ::-1], [cv2.IMWRITE_TIFF_COMPRESSION, 1])
+    expected = {tmp_path / f"copy.{kind}": tmp_path / "a.png" for kind in ("bmp", "tiff")}
+    expected[tmp_path / "large.tiff"] = tmp_path / "large.png"
+    tested, others = [*tested, tmp_path / "large.png"], [*others, tmp_path / "large.tiff"]
+    assert same_pictures(tested, others) == expected
 
 
 def test_what_is_unknown_stays_unknown() -> None:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import fields, replace
 from importlib.util import find_spec
 from pathlib import Path
 from threading import Event
@@ -22,6 +23,7 @@ from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.locks import held
 from jaxfit.errors import InputError, JaxfitError, ModelError
 from jaxfit.fitting import Fitting
+from jaxfit.fitting.pipeline import require_fitting
 from jaxfit.runs import BatchFitter, FolderRun, collection, fit_collection, fit_folder
 
 Columns = dict[str, np.ndarray]
@@ -128,11 +130,31 @@ def test_heads_have_columns_of_their_own() -> None:
     assert {"x1", "head_roll", "head_scale", "head_x1", "head_z68", "head_b1"} <= {*columns}
 
 
+def test_a_collection_goes_on_only_with_the_same_settings(fitter: BatchFitter) -> None:
+    others: dict[str, Any] = {
+        "model": "face68",
+        "fitting": Fitting("haar"),
+        "refine": True,
+        "max_megapixels": 3.0,
+        "unshift": True,
+    }
+    assert {*others, "cores"} == {field.name for field in fields(BatchFitter)}
+    for name, value in others.items():
+        assert collection._settings(replace(fitter, **{name: value})) != collection._settings(fitter), name
+    assert collection._settings(replace(fitter, cores=2)) == collection._settings(fitter)
+
+
 def test_nonsense_is_refused_before_any_work(fitter: BatchFitter, tmp_path: Path) -> None:
-    settings: tuple[dict[str, Any], ...] = ({"fitting": Fitting("nose")}, {"fitting": Fitting(Whole())}, {"cores": 0})
+    settings: tuple[dict[str, Any], ...] = (
+        {"fitting": Fitting("nose")},
+        {"fitting": Fitting(Whole())},
+        {"cores": 0},
+    )
     for wrong in settings:
         with pytest.raises(InputError, match="expected"):
             BatchFitter(**wrong)
+    with pytest.raises(InputError, match=r"expected jaxfit.Fitting\(detector=...\).*got 'whole'"):
+        require_fitting("whole")
     with pytest.raises(ModelError, match="no model 'face69'"):
         BatchFitter("face69")
     with pytest.raises(InputError, match="image or path; got bytes"):

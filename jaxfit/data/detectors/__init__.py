@@ -55,10 +55,14 @@ def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: S
             search for a detector that does not come by name.
     """
     if not isinstance(detector, str | None):
+        if not isinstance(detector, Detector):
+            raise InputError(
+                f"expected a detector's name ({', '.join(detector_specs())}) or a detector; got {detector!r:.60}"
+            )
         if search != Search():
             raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
         return detector
-    spec = detector or DEFAULT_DETECTOR
+    spec = DEFAULT_DETECTOR if detector is None else detector
     name, _, path = spec.partition(":")
     entry = DETECTORS.get(name)
     if entry is None or (path and entry.make_of_file is None):

@@ -125,7 +125,9 @@ class YuNet:
 
     def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
         faces = self._seen_at(bgr, _QUICK)
-        return faces if any(face.score >= _SURE for face in faces) else self._seen_at(bgr, _CLEAR)
+        if any(face.score >= _SURE for face in faces):
+            return faces
+        return merged([*faces, *self._seen_at(bgr, _CLEAR)], _SAME)
 
     def _seen_at(self, bgr: np.ndarray, width: float) -> list[Detection]:
         """The faces in a picture that is looked at so that the smallest face has this width for the network."""

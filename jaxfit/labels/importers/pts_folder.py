@@ -40,7 +40,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if path.suffix.lower() in READABLE_SUFFIXES:
             pictures.setdefault(path.stem, []).append(path)
     found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
-    labelled = {path.stem for path in found}
+    labelled = {path.stem for path in files if path.suffix.lower() == ".pts"}
     of_label: dict[Path, Path] = {}
     for path in found:
         own, of_fit = pictures.get(path.stem, []), pictures.get(_picture_stem(path), [])
@@ -84,8 +84,8 @@ def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray
 
 
 def _picture_stem(label: Path) -> str:
-    """The stem of the picture that a ``.pts`` file is of, if it is one of those that fits write: ``NAME_1.pts``."""
-    numbered = re.fullmatch(r"(.+)_[0-9]+", label.stem)
+    """The stem of the picture that a ``.pts`` file is of, if it is one of those that fits write: ``NAME_2.pts``."""
+    numbered = re.fullmatch(r"(.+)_[1-9][0-9]*", label.stem)
     return numbered[1] if numbered else ""
 
 
