@@ -190,7 +190,7 @@ def untrained_starts(name: str, model: Model, starts: Starts) -> list[str]:
     """A warning where several starts are asked for of a model that was trained for one."""
     if starts.count == 1 or model.starts.count > 1:
         return []
-    return [f"{name} was trained for a single start: of its fits from turned starts none may be right"]
+    return [f"{name} was trained for a single start: its fits from several, turned ones may all be wrong"]
 
 
 def add_head_model(command: argparse.ArgumentParser) -> None:

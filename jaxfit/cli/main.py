@@ -78,7 +78,10 @@ def exit_code(run: Callable[[argparse.Namespace], int], options: argparse.Namesp
             say(f"jaxfit: error: {error}", file=sys.stderr)
             return 2
         except KeyboardInterrupt:
-            say("jaxfit: stopped; no result is half-written; run it again to go on where that can be", file=sys.stderr)
+            say(
+                "jaxfit: stopped; no result is half-written (fit and collect, run again, go on where they were)",
+                file=sys.stderr,
+            )
             return _STOPPED
         if out.problem is None:
             return code

@@ -316,10 +316,13 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | Non
         raise InputError(f"expected formats among {', '.join(WRITERS)}; got {unknown[0]!r}")
     if run.min_confidence is not None and not 0 <= run.min_confidence <= 1:
         raise InputError(
-            f"expected a least confidence from 0 to 1; got {run.min_confidence}: 0.5 leaves out what is rather bad"
+            f"min confidence: expected a number from 0 to 1, such as 0.5, which leaves out what is rather bad; got "
+            f"{run.min_confidence}"
         )
     if run.min_confidence is not None and model.confidence is None:
-        raise InputError("expected a model with a confidence, for a least confidence; this one has none")
+        raise InputError(
+            f"min confidence: the model {run.model} has no confidence; leave it out, or take a model that has one"
+        )
     run.fitting.settings()  # which only detectors that come by name have
     if run.boxes is not None:
         run.fitting.require_given_boxes()

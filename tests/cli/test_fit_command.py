@@ -132,7 +132,7 @@ def test_wrong_settings_are_refused_before_anything_is_written(
         "the lowest first": ["--rotations", "10", "-10"],
         "only models of the method alignment3d": ["--refine", "--detector", "whole"],
         "give that file too": ["--box-kind", "whole"],
-        "a least confidence from 0 to 1; got 7": ["--min-confidence", "7"],
+        "min confidence: expected a number from 0 to 1": ["--min-confidence", "7"],
         "any rotation); got both": ["--boxes", "boxes.csv", "--any-rotation"],
     }.items():
         assert main(["fit", str(drawn), "--model", str(drawn_model), "--out", str(out), *wrong]) == 2

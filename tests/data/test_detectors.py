@@ -47,8 +47,9 @@ def test_empty_pictures_have_no_faces(shape, name):
     assert detect_faces(np.full(shape, 128, np.uint8), name) == []
 
 
-@pytest.mark.parametrize("any_rotation", [False, True])
-@pytest.mark.parametrize("name", ["yunet", "haar", "whole"])
+@pytest.mark.parametrize(
+    ("name", "any_rotation"), [("yunet", False), ("yunet", True), ("haar", False), ("haar", True), ("whole", False)]
+)
 def test_detectors_take_what_fit_takes_and_refuse_the_rest(name, any_rotation):
     detector = detector_named(name, Search(any_rotation=any_rotation))
     picture = np.full((60, 80, 3), 90, np.uint8)
@@ -68,8 +69,18 @@ def test_detectors_take_what_fit_takes_and_refuse_the_rest(name, any_rotation):
 
 @pytest.mark.parametrize("bad", [{"smallest": 3.0}, {"smallest": np.nan}, {"score": 1.5}, {"score": 0.0}], ids=str)
 def test_searches_that_make_no_sense_are_refused(bad):
-    with pytest.raises(InputError, match="expected a s"):
+    with pytest.raises(InputError, match=r"(smallest|score): expected a"):
         Search(**bad)
+
+
+@pytest.mark.parametrize(
+    ("name", "search"),
+    [("haar", {"score": 0.5}), ("dlib", {"score": 0.5}), ("whole", {"any_rotation": True}), ("whole", {"smallest": 9.0})],
+    ids=str,
+)
+def test_what_a_detector_does_not_use_is_refused(name, search):
+    with pytest.raises(InputError, match=f"the detector {name} does not use {next(iter(search)).replace('_', ' ')}"):
+        detector_named(name, Search(**search))
 
 
 @pytest.mark.parametrize("wrong", ["", "nose", "haar:file.xml"])

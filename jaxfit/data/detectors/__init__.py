@@ -1,6 +1,7 @@
 """Face detectors by the names that the command line and ``jaxfit.fit`` know."""
 
 from collections.abc import Iterable
+from dataclasses import fields
 
 from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, DetectorEntry, Search, best_match
 from jaxfit.data.detectors.dlib_hog import KIND as DLIB
@@ -32,9 +33,9 @@ DEFAULT_DETECTOR = "yunet"
 
 DETECTORS: dict[str, DetectorEntry] = {
     DEFAULT_DETECTOR: DetectorEntry(YuNet, (YUNET,), rotates=True, make_of_file=YuNet),
-    "haar": DetectorEntry(Haar, (FRONTAL, PROFILE), rough=True),
-    "dlib": DetectorEntry(DlibHog, (DLIB,), rough=True, package="dlib"),
-    "whole": DetectorEntry(lambda search: Whole(), (WHOLE,), rough=True),
+    "haar": DetectorEntry(Haar, (FRONTAL, PROFILE), rough=True, unused=("score",)),
+    "dlib": DetectorEntry(DlibHog, (DLIB,), rough=True, unused=("score",), package="dlib"),
+    "whole": DetectorEntry(lambda search: Whole(), (WHOLE,), rough=True, unused=("smallest", "score", "any_rotation")),
 }
 
 
@@ -51,8 +52,8 @@ def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: S
         search: how faces are looked for.
 
     Raises:
-        InputError: there is none of this name, its file is missing or damaged, what it needs is not installed; or a
-            search for a detector that does not come by name.
+        InputError: there is none of this name, its file is missing or damaged, what it needs is not installed; a search
+            for a detector that does not come by name, or with what the detector does not use.
     """
     if not isinstance(detector, str | None):
         if not isinstance(detector, Detector):
@@ -67,6 +68,11 @@ def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: S
     entry = DETECTORS.get(name)
     if entry is None or (path and entry.make_of_file is None):
         raise InputError(f"expected a detector among {', '.join(detector_specs())}; got {spec!r}")
+    given = [field.name for field in fields(Search) if getattr(search, field.name) != field.default]
+    if unused := [each.replace("_", " ") for each in given if each in entry.unused]:
+        raise InputError(
+            f"the detector {name} does not use {', '.join(unused)}: leave it out, or take another detector"
+        )
     found = entry.make_of_file(search, path) if path and entry.make_of_file is not None else entry.make(search)
     return AnyRotation(found) if search.any_rotation and not entry.rotates else found
 

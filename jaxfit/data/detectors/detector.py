@@ -56,9 +56,9 @@ class Search:
 
     def __post_init__(self) -> None:
         if self.smallest is not None and not (math.isfinite(self.smallest) and self.smallest >= 8):
-            raise InputError(f"expected a smallest face of 8 pixels or more; got {self.smallest}")
+            raise InputError(f"smallest: expected a face width of 8 pixels or more; got {self.smallest}")
         if self.score is not None and not 0 < self.score <= 1:
-            raise InputError(f"expected a score above 0 and up to 1; got {self.score}")
+            raise InputError(f"score: expected a number above 0 and up to 1; got {self.score}")
 
     def smallest_in(self, shape: Sequence[int], least: float = _SMALLEST) -> float:
         """The width of the smallest faces that are looked for in a picture (H, W, …), in its pixels."""
@@ -98,6 +98,7 @@ class DetectorEntry:
         kinds: of the boxes that it draws, as in `Detector`.
         rough: as in `Detector`.
         rotates: whether it heeds ``Search.any_rotation`` itself; for all others the picture is turned.
+        unused: what of `Search` means nothing to it.
         make_of_file: makes it of a file, too, as ``NAME:FILE`` asks for; None: it takes none.
         package: that it needs beside those that come with jaxfit; empty: none.
     """
@@ -106,6 +107,7 @@ class DetectorEntry:
     kinds: tuple[str, ...]
     rough: bool = False
     rotates: bool = False
+    unused: tuple[str, ...] = ()
     make_of_file: Callable[[Search, str], Detector] | None = None
     package: str = ""
 
