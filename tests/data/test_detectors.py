@@ -75,7 +75,12 @@ def test_searches_that_make_no_sense_are_refused(bad):
 
 @pytest.mark.parametrize(
     ("name", "search"),
-    [("haar", {"score": 0.5}), ("dlib", {"score": 0.5}), ("whole", {"any_rotation": True}), ("whole", {"smallest": 9.0})],
+    [
+        ("haar", {"score": 0.5}),
+        ("dlib", {"score": 0.5}),
+        ("whole", {"any_rotation": True}),
+        ("whole", {"smallest": 9.0}),
+    ],
     ids=str,
 )
 def test_what_a_detector_does_not_use_is_refused(name, search):

@@ -42,7 +42,7 @@ _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual scor
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
 _MOST_SMALL, _MOST_TURNED = 200, 30  # of them in a picture that are looked at closer, and turned
 _CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
-_FRAME = Frame(crop=192, face=96.0)
+_FRAME = Frame(crop=256, face=128.0)
 _CLOSER = Frame(crop=96, face=60.0)  # of closer looks: small, as most of them go to upright faces
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
