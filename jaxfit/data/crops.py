@@ -18,6 +18,7 @@ from jaxfit.image.frame import Frame
 
 # Picture pixels a crop pixel up to which a bilinear sample stands for all of them.
 _ONE_SAMPLE = 1.5
+_WIDE = 2**14  # OpenCV warps no picture of twice as many pixels across
 
 
 class Crop(NamedTuple):
@@ -210,7 +211,7 @@ def _side(size: int, offset: float, scale: float, crop: int) -> _Side:
         return _Side(low, high, 0, 0, 1)
     low = low // block * block  # blocks are counted from the picture's corner
     if high - low < block:  # a picture that is lost in its crop is not padded to many times its size
-        block = 1
+        block = max(1, (high - low) // _WIDE)
     # Where the picture ends its edge goes on for the rest of a block and one more.
     before, after = block * (first_wanted < 0), -(high - low) % block + block * (last_wanted > last)
     return _Side(low, high, before, after, block)

@@ -212,3 +212,9 @@ def test_a_crop_that_is_not_turned_is_the_same_to_the_bit():
     for side in (20.0, 55.0, 200.0):
         one, other = (cut_face(picture, np.array([40.0, 50.0]), side, FRAME, *turn) for turn in ((), (0.0,)))
         np.testing.assert_array_equal(one.pixels, other.pixels)
+
+
+@pytest.mark.parametrize("side", [30.0, 3e4, 3e6, 3e8])
+def test_panoramas_are_cut_however_small_they_are_in_the_crop(side):
+    grey = np.full((20, 40_000), 7, np.uint8)
+    assert (cut_face(grey, np.array([39_000.0, 10.0]), side, Frame(crop=64, face=32.0), 0.5).pixels == 7).all()
