@@ -80,7 +80,7 @@ def test_names_are_found_in_linear_time_relative_to_a_folder() -> None:
         return time.process_time() - begun
 
     once = min(seconds(1000) for _ in range(3))
-    assert seconds(8000) < 20 * once  # with the square of the number, 44 times as long
+    assert min(seconds(8000) for _ in range(2)) < 30 * once  # with the square of the number, 44 times as long
 
 
 PICTURES = ("p1/001.jpg", "p2/001.jpg", "p2/deep/p1/001.jpg", "p1/002.jpg", "003.jpg", "p1/003.jpg", "=4.jpg")

@@ -518,7 +518,7 @@ def test_no_name_of_a_picture_spoils_a_run(run: FolderRun, drawn: Path, tmp_path
 def test_doubtful_faces_stand_apart_if_so_wished(
     drawn_model: Path, boxes: Path, pictures: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match="model with a confidence"):
+    with pytest.raises(InputError, match="has no confidence; leave it out"):
         fit_folder(FolderRun(tmp_path / "none", drawn_model, boxes=boxes, min_confidence=0.5), pictures)
     stream = folder.stream
 
