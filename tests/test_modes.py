@@ -88,32 +88,20 @@ def test_a_forked_process_is_told_instead_of_hanging(drawn_model: Path, monkeypa
             work()
 
 
-def test_a_real_fork_ends_with_a_sentence(drawn_model: Path) -> None:
-    code = (
-        "import jaxfit, os, sys\n"
-        f"model = jaxfit.load({str(drawn_model)!r})\n"
-        "child = os.fork()\n"
-        "if child == 0:\n"
-        "    try:\n"
-        "        jaxfit.warm_up(model, [1])\n"
-        "    except jaxfit.JaxfitError as error:\n"
-        "        os._exit(7)\n"
-        "    os._exit(0)\n"
-        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
-    assert ran.returncode == 7, ran.stderr
-
-
-def test_a_fork_after_others_have_computed_ends_with_a_sentence(drawn_model: Path) -> None:
+@pytest.mark.parametrize(
+    ("before", "within"),
+    [("model = jaxfit.load({!r})", "jaxfit.warm_up(model, [1])"), ("jax.numpy.zeros(3) + 1", "jaxfit.load({!r})")],
+    ids=["jaxfit has computed", "others have computed"],
+)
+def test_a_fork_after_jax_has_computed_ends_with_a_sentence(before: str, within: str, drawn_model: Path) -> None:
     code = (
         "import jax.numpy, jaxfit, os, sys\n"
-        "jax.numpy.zeros(3) + 1\n"
+        f"{before.format(str(drawn_model))}\n"
         "child = os.fork()\n"
         "if child == 0:\n"
         "    try:\n"
-        f"        jaxfit.load({str(drawn_model)!r})\n"
-        "    except jaxfit.errors.ProcessError as error:\n"
+        f"        {within.format(str(drawn_model))}\n"
+        "    except jaxfit.errors.ProcessError:\n"
         "        os._exit(7)\n"
         "    os._exit(0)\n"
         "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
