@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 JPEG = b"\xff\xd8"
 PNG = b"\x89PNG\r\n\x1a\n"
+SIDEWAYS = (5, 6, 7, 8)  # EXIF orientations in which width is seen as height
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
 # How other files of pictures begin; of bitmaps and Netpbm's more has to be right, as words may begin so.

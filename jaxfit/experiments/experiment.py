@@ -25,6 +25,7 @@ from jaxfit.learning.placements import CALIBRATED
 from jaxfit.models.files import load, save
 from jaxfit.models.model import Model
 from jaxfit.schemes.known import NO_LANDMARKS
+from jaxfit.schemes.own import scheme_text
 from jaxfit.schemes.scheme import Scheme
 
 # The file in an experiment's folder that holds its configuration.
@@ -249,7 +250,7 @@ def _face_arrays(faces: DatasetFaces) -> Arrays:
         "box": faces.boxes,
         "landmarks": faces.landmarks,
         "pose": np.where(np.isnan(labelled), _aligned_pose(faces), labelled),
-        "scheme": np.array(faces.scheme.name),
+        "scheme": np.array(scheme_text(faces.scheme)),
         "problems": np.array(faces.problems, str),
     }
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import exif_orientation, has_jpeg_header
+from jaxfit.data.headers import SIDEWAYS, exif_orientation, has_jpeg_header
 from jaxfit.data.inputs import open_regular
 from jaxfit.data.limits import most_picture_bytes
 from jaxfit.data.pictures import read_grey
@@ -19,7 +19,7 @@ from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.schemes.scheme import Scheme
 
 _HEAD = 1 << 16  # bytes of a picture that are read first: most JPEG files say by then how they are turned
-_MIRRORED, _SIDEWAYS = (2, 4, 5, 7), (5, 6, 7, 8)
+_MIRRORED = (2, 4, 5, 7)
 _NAMED = 3  # pictures that a notice names
 
 
@@ -82,7 +82,7 @@ def as_seen(dataset: Dataset) -> Dataset:
 
 def _seen(face: FaceRecord, orientation: int, scheme: Scheme) -> FaceRecord:
     height, width = read_grey(face.image).shape
-    size = (height, width) if orientation in _SIDEWAYS else (width, height)
+    size = (height, width) if orientation in SIDEWAYS else (width, height)
     order = np.arange(scheme.count)
     if orientation in _MIRRORED:  # what was labelled as the right eye is seen as the left one
         if scheme.mirror is None and scheme.count:
