@@ -19,7 +19,7 @@ from jaxfit.cascade import Greedy, Starts, Tuning
 from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_image
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
-from jaxfit.fitting import Fits, crop_faces, export, fit, fuse, refine, track, warm_up
+from jaxfit.fitting import Fits, Fitting, crop_faces, export, fit, fuse, refine, track, warm_up
 from jaxfit.labels import read_dataset
 from jaxfit.learning import Options, finetune, train
 from jaxfit.models import Model, bundled, load, save
@@ -28,6 +28,7 @@ from jaxfit.runs import FolderRun, fit_folder
 __all__ = [
     "Evaluation",
     "Fits",
+    "Fitting",
     "FolderRun",
     "Greedy",
     "InputError",

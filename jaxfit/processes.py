@@ -133,8 +133,8 @@ def share_of(pictures: Sequence[Path]) -> np.ndarray:
     """The numbers (M,) of the faces that this process reads, given the picture of each of N faces: no picture is read
     by two processes."""
     order = {picture: number for number, picture in enumerate(dict.fromkeys(pictures))}
-    mine = [number for number, each in enumerate(pictures) if order[each] % jax.process_count() == jax.process_index()]
-    return np.array(mine, int)
+    own = [number for number, each in enumerate(pictures) if order[each] % jax.process_count() == jax.process_index()]
+    return np.array(own, int)
 
 
 def total(values: T) -> T:

@@ -1,4 +1,4 @@
-"""The dimension vocabulary: every array type that more than one module names.
+"""The dimension vocabulary: every array type that more than one module names; and the type of progress callbacks.
 
 Dimension names used throughout: ``height width`` (pixels, rows first), ``landmarks`` (points of one face), ``params``
 (coordinates of one face in a shape space), ``features`` (the concatenated descriptors of one face), ``steps`` (of the
@@ -6,6 +6,8 @@ cascade), ``faces`` (a batch) and ``starts`` (initialisations of one face). Poin
 pixels, with pixel centres at integers; in 3D, ``z`` is away from the viewer, in the unit of ``x`` and ``y``; images
 are indexed ``[row, column]``.
 """
+
+from collections.abc import Callable
 
 from jaxtyping import Array, Float, UInt8
 
@@ -18,3 +20,10 @@ Landmarks3D = Float[Array, "landmarks 3"]
 Rotation = Float[Array, "3 3"]
 Params = Float[Array, "params"]
 Features = Float[Array, "features"]
+
+# Called with a stage's name, what is done and what there is to do.
+Progress = Callable[[str, int, int], None]
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody is shown."""

@@ -21,16 +21,17 @@ from benchmark_dlib import FINE, cut_crops, dlib, load_rival, rectangles, rival_
 from report import Report, dataset_names, measure, save_figure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
+from jaxfit.cli.arguments import add_datasets, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.outputs import write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.errors import nmed
-from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.plots import new_figure
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, SUMMARY_COLUMNS, comparison_row, summary_row
-from jaxfit.fitting.stream import BATCHES
+from jaxfit.fitting.batches import BATCHES
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.records import FaceRecord, copies_of
 from jaxfit.models.model import Model
 from jaxfit.schemes.normalisers import NORMALISERS

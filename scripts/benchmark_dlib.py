@@ -13,7 +13,7 @@ import jaxfit
 from jaxfit.data.crops import Crops
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model

@@ -58,7 +58,7 @@ def jaxfit_speed(model: str, faces: str, batches: list[int], repetitions: int) -
 def crops_a_second(cascade: Any, crops: np.ndarray, batch: int, repetitions: int) -> float:
     """Faces a second, in batches of which some are computed at the same time, as `jaxfit.fit` does."""
     from jaxfit.cascade.fit import fit_crops
-    from jaxfit.fitting.stream import computed_at_once
+    from jaxfit.fitting.batches import computed_at_once
 
     crops, at_once = np.resize(crops, (batch, *crops.shape[1:])), computed_at_once()
     calls = at_once * max(2, 256 // batch)  # enough of them that beginning and end count little

@@ -6,10 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import jaxfit
-from jaxfit.cli.arguments import read_datasets
 from jaxfit.cli.main import exit_code
-from jaxfit.cli.progress import Bars
-from jaxfit.labels.datasets import parse_spec
+from jaxfit.cli.progress import Bars, report_problems
+from jaxfit.labels.datasets import parse_spec, read_datasets
 from jaxfit.learning.placements import calibrate_boxes, frontal
 from jaxfit.models.files import check_target
 
@@ -27,10 +26,13 @@ def run(arguments: argparse.Namespace) -> int:
     model = jaxfit.load(arguments.model)
     (dataset,) = read_datasets([arguments.data], None)
     with Bars() as bars:
-        placement = calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
+        calibrated = calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
+    placement = calibrated.placement
+    report_problems([*dataset.problems, *calibrated.problems])
     kind = parse_spec(dataset.spec)[0]
     jaxfit.save(replace(model, placements={**model.placements, kind: placement}), arguments.out)
-    print(f"{arguments.out}: knows {kind} boxes, shift {placement.shift}, log scale {placement.log_scale:.3f}")
+    lies = f"shift {placement.shift}, log scale {placement.log_scale:.3f}"
+    print(f"{arguments.out}: knows {kind} boxes, measured on {calibrated.faces} faces: {lies}")
     return 0
 
 

@@ -15,12 +15,13 @@ import numpy as np
 from report import ERROR_COLUMNS, Report, dataset_names, error_row, measure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, seed
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.pictures import GreyPictures, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.statistics import signed_rank
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.digests import DigestingReader
 

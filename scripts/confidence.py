@@ -11,12 +11,14 @@ import numpy as np
 from report import Report, measure, save_figure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed, shared_scheme
-from jaxfit.cli.progress import Bars
+from jaxfit.cli.arguments import add_datasets, seed
+from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import auroc, reliability
 from jaxfit.evaluation.plots import new_figure, plot_reliability
-from jaxfit.learning.confidence import DETECTED, NO_FACES, SampledFits, sample_fits
+from jaxfit.labels.datasets import read_datasets, shared_scheme
+from jaxfit.learning.confidence import SampledFits, sample_fits
+from jaxfit.learning.draw_starts import DETECTED, NO_FACES
 
 
 def main() -> int:
@@ -35,6 +37,7 @@ def run(arguments: argparse.Namespace, report: Report) -> None:
     faces = [face for dataset in datasets for face in dataset.faces if face.complete]
     with Bars() as bars:
         sampled = sample_fits(model, faces, seed=arguments.seed, progress=bars)
+    report_problems(list(sampled.problems))
     add_figures(report, len(faces), sampled)
     if arguments.report:
         plot(Path(arguments.report).with_suffix(".png"), sampled)

@@ -10,11 +10,13 @@ import time
 import numpy as np
 from report import Report, measure, script_parser
 
-from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.cli.arguments import add_datasets
 from jaxfit.cli.progress import Bars
 from jaxfit.data.detectors import detector_named
-from jaxfit.evaluation.evaluate import detected_boxes, evaluate, start_boxes
+from jaxfit.evaluation.boxes import detected_boxes, start_boxes
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.statistics import summarise
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.models.files import load
 
 PASSES = (1, 2, 3)

@@ -19,12 +19,13 @@ import numpy as np
 from report import Report, measure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.cli.arguments import add_datasets
 from jaxfit.data import Detector, Search, detector_named, read_image, write_image
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.detectors.detector import holds, overlap
 from jaxfit.data.pts import read_pts
 from jaxfit.evaluation.errors import nmed
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.records import FaceRecord
 
 BANDS = (0, 24, 40, 80, 160, 10000)  # widths of labelled boxes

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 from report import Report, measure, script_parser
 
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, seed
 from jaxfit.errors import InputError
+from jaxfit.labels.datasets import read_datasets
 
 _POLL = 0.2  # seconds
 

@@ -12,11 +12,12 @@ from compare_models import add_comparison, complete
 from report import Report, dataset_names, measure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, seed
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import Dataset
 from jaxfit.models.model import Model
 

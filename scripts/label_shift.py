@@ -15,9 +15,10 @@ import cv2
 import numpy as np
 from report import Report, dataset_names, measure, script_parser
 
-from jaxfit.cli.arguments import add_datasets, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, seed
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import Dataset
 
 SHIFTS = np.arange(-4.0, 4.01, 0.5)  # of the axis, in pixels

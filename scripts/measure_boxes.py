@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_datasets, read_datasets, shared_scheme
+from jaxfit.cli.arguments import add_datasets
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.outputs import atomic_write
 from jaxfit.errors import InputError
-from jaxfit.evaluation.evaluate import detected_boxes
+from jaxfit.evaluation.boxes import detected_boxes
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.lifting import lift_labels
 from jaxfit.models import placements
 from jaxfit.schemes.conversions import convert, sources

@@ -16,17 +16,18 @@ import numpy as np
 from report import ERROR_COLUMNS, Report, error_row, measure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, add_training, read_datasets, training_options
+from jaxfit.cli.arguments import add_datasets, add_training, training_options
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
-from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.heads.model import load_head_model
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.lifting import fill_labels
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import Model

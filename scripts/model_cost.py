@@ -12,9 +12,9 @@ from report import Report, measure, script_parser
 from timing import computed, median_seconds
 
 from jaxfit.cascade.state import State, advanced, features_of, state_of
-from jaxfit.cli.arguments import read_datasets
 from jaxfit.data.boxes import bounding_square
 from jaxfit.descriptors.descriptor import Descriptor
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.shapes.space import ShapeSpace, Start
 

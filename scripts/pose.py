@@ -16,7 +16,7 @@ from report import Report, measure, save_figure, script_parser
 from scipy.spatial.transform import Rotation
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets
+from jaxfit.cli.arguments import add_datasets, out_folder
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
@@ -32,6 +32,7 @@ from jaxfit.evaluation.pose import (
     pose_rows,
 )
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, markdown_table
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import Dataset
 from jaxfit.learning.placements import evaluate_pose
 from jaxfit.models.model import Model

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.interpolate import RBFInterpolator
 
-from jaxfit.cli.arguments import add_datasets, add_head_model, out_folder, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, add_head_model, out_folder, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.cli.progress import Bars, report_problems
 from jaxfit.data.boxes import bounding_square, box_centre
@@ -32,6 +32,7 @@ from jaxfit.heads.facekit import FaceKit, facekit_points, read_facekit, sample_h
 from jaxfit.heads.mesh_points import MeshPoints
 from jaxfit.heads.model import load_head_model
 from jaxfit.image.frame import Frame
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import IBUG68
 from jaxfit.shapes.alignment import Alignment, align_head

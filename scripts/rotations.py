@@ -24,23 +24,17 @@ import jaxfit
 from jaxfit.cascade.fit import centroid, fit_starts
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.starts import Starts, starts_of
-from jaxfit.cli.arguments import (
-    add_datasets,
-    add_training,
-    out_folder,
-    read_datasets,
-    shared_scheme,
-    training_options,
-)
+from jaxfit.cli.arguments import add_datasets, add_training, out_folder, training_options
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.outputs import require_same_settings, write_csv
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.errors import nmed
-from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.plots import new_figure
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import METHODS
 from jaxfit.learning.train import train

@@ -8,11 +8,11 @@ import os
 import sys
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, seed
+from jaxfit.cli.arguments import add_datasets, out_folder, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
-from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.datasets import parse_spec, read_datasets
 
 LABELS = ("pts", "pts0")
 PARTS = ("train", "test")

@@ -13,11 +13,12 @@ from timing import computed, median_seconds
 
 import jaxfit
 from jaxfit.cascade.fit import fit_crops, fit_heads
-from jaxfit.cli.arguments import add_datasets, read_datasets
+from jaxfit.cli.arguments import add_datasets
 from jaxfit.cli.progress import report_problems
 from jaxfit.data.pictures import read_image
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.fitting.crop import crop_faces
+from jaxfit.labels.datasets import read_datasets
 
 FACES, REPETITIONS = 64, 32  # the thesis repeats 32 times, too
 COLUMNS = {

@@ -18,7 +18,7 @@ import numpy as np
 from report import Report, dataset_names, measure, script_parser
 
 import jaxfit
-from jaxfit.cli.arguments import add_datasets, out_folder, read_datasets, shared_scheme
+from jaxfit.cli.arguments import add_datasets, out_folder
 from jaxfit.cli.progress import Bars
 from jaxfit.data.boxes import bounding_square, box_centre
 from jaxfit.data.outputs import atomic_write, require_same_settings, write_csv
@@ -26,6 +26,7 @@ from jaxfit.data.pictures import read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
 from jaxfit.fitting import OneEuro, Tracker
+from jaxfit.labels.datasets import read_datasets, shared_scheme
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.normalisers import normaliser_length
 from jaxfit.schemes.scheme import Scheme

@@ -17,10 +17,12 @@ from pathlib import Path
 import numpy as np
 from report import Report, measure, script_parser
 
-from jaxfit.cli.arguments import add_datasets, read_datasets
+from jaxfit.cli.arguments import add_datasets
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import JaxfitError
-from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.evaluation.evaluate import evaluate
+from jaxfit.labels.datasets import read_datasets
 from jaxfit.models.files import load
 
 _POLL = 0.05  # seconds

@@ -86,7 +86,9 @@ def test_a_dataset(cook: Callable, heads: tuple, tmp_path: Path) -> None:
 def test_a_writer_and_a_detector(cook: Callable, heads: tuple, tmp_path: Path) -> None:
     cook("writer")
     cook("detector")
-    run = jaxfit.FolderRun(tmp_path, model="face21", detector="middle", formats=("counts",), overlays=False)
+    run = jaxfit.FolderRun(
+        tmp_path, model="face21", fitting=jaxfit.Fitting("middle"), formats=("counts",), overlays=False
+    )
     report = jaxfit.fit_folder(run, [face.image for face in heads[:3]])
     assert report.faces == 3
     lines = (tmp_path / "counts.txt").read_text(encoding="utf-8").splitlines()

@@ -21,14 +21,12 @@ from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.processes import by_first, gathered, total
 from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.types import Point, Scalar
+from jaxfit.types import Point, Progress, Scalar, silent
 
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
 _BATCH = 2048
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
 _PCA_SAMPLES = 3072
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -178,8 +176,8 @@ def _describe(
     states: State,
     window: Scalar,
 ) -> Float[Array, "faces augmentations features"]:
-    seen = jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops)
-    return features_of(descriptor, space, vmap(descriptor.prepare)(seen), states, window)
+    flipped = jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops)
+    return features_of(descriptor, space, vmap(descriptor.prepare)(flipped), states, window)
 
 
 @jax.jit
@@ -232,7 +230,7 @@ def train_cascade(
     *,
     turn: float = 0.0,
     axes: SharedAxes | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Cascade:
     """Learn one regressor a step, each on the states that the previous steps produced (thesis, Fig. 5).
 
@@ -298,13 +296,13 @@ def train_cascade(
         own = np.full(every, -1)
         own[numbers] = np.arange(count)
         places = np.flatnonzero(own[chosen] >= 0)  # of this process's faces among the chosen
-        mine = own[chosen[places]]
-        seen = []
-        for first in range(0, max(1, len(mine)), size):  # once without any: others must know the features' number
-            progress(stage, first, len(mine))
-            batch = described(np.resize(mine[first : first + size], size), window)
-            seen.append(np.asarray(batch[: len(mine) - first, :each]))
-        samples = gathered(np.concatenate(seen), places, len(chosen))
+        here = own[chosen[places]]
+        parts = []
+        for first in range(0, max(1, len(here)), size):  # once without any: others must know the features' number
+            progress(stage, first, len(here))
+            batch = described(np.resize(here[first : first + size], size), window)
+            parts.append(np.asarray(batch[: len(here) - first, :each]))
+        samples = gathered(np.concatenate(parts), places, len(chosen))
         mean, directions, held = by_first(
             lambda: spectrum(jnp.asarray(samples.reshape(-1, samples.shape[-1])), variance)
         )

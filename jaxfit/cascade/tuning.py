@@ -17,7 +17,7 @@ from jax import lax, random, vmap
 from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
-from jaxfit.cascade.greedy import Progress, TrainingSet, draw_states
+from jaxfit.cascade.greedy import TrainingSet, draw_states
 from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.starts import Spread
 from jaxfit.cascade.state import State, advanced, landmarks_of
@@ -25,7 +25,7 @@ from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance, draw_warp, spoiled
 from jaxfit.modes import mixing_types
 from jaxfit.shapes.space import ShapeSpace3D
-from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Scalar
+from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Progress, Scalar, silent
 
 # Of the canonical face's side: below it the loss grows with the square of the error, above it with the error.
 _BEND = 0.02
@@ -107,7 +107,7 @@ def finetune_cascade(
     tuning: Tuning,
     *,
     turn: float = 0.0,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
     keep: Callable[[Progressed], None] = lambda progressed: None,
     resume: Callable[[Progressed], Progressed] = lambda begun: begun,
 ) -> tuple[Cascade, Float[Array, "epochs"]]:

@@ -9,18 +9,15 @@ from typing import Any
 
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox
-from jaxfit.data.detectors import DETECTORS, OF_FILES, Search
+from jaxfit.data.detectors import Search, box_kinds, detector_specs
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS
 from jaxfit.data.numbers import whole_number
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
-from jaxfit.fitting.given_boxes import read_known_boxes
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.labels.datasets import FORMATS
-from jaxfit.labels.datasets import read_datasets as read_datasets  # commands and scripts import both from here
-from jaxfit.labels.datasets import shared_scheme as shared_scheme
 from jaxfit.learning.methods import Options, default_descriptor
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.models.model import Model
@@ -117,14 +114,14 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     command.add_argument(
         "--box-kind",
         metavar="KIND",
-        help="what drew the boxes of FILE.csv: square (around the landmarks), haar-frontal, haar-profile, dlib, yunet, "
-        "whole; by default what its column box says, or square",
+        help=f"what drew the boxes of FILE.csv: square (around the landmarks), {', '.join(box_kinds())}; by default "
+        "what its column box says, or square",
     )
 
 
 def add_detector(command: argparse.ArgumentParser, about: str) -> None:
     """``--detector SPEC``, and how faces are looked for: ``--smallest``, ``--score`` and ``--any-rotation``."""
-    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {known_detectors()}")
+    command.add_argument("--detector", metavar="SPEC", help=f"{about}: {', '.join(detector_specs())}")
     command.add_argument(
         "--smallest",
         type=float,
@@ -151,24 +148,6 @@ def given_search(arguments: argparse.Namespace) -> Search:
         InputError: a number out of range.
     """
     return Search(arguments.smallest, arguments.score, arguments.any_rotation)
-
-
-def known_detectors() -> str:
-    """What ``--detector`` takes, in words."""
-    return ", ".join([*DETECTORS, *(f"{name}:FILE" for name in OF_FILES)])
-
-
-def given_boxes(arguments: argparse.Namespace, model: Model) -> dict[str, list[GivenBox]] | None:
-    """The boxes that ``--boxes`` names, by what the file calls the picture; None without it.
-
-    Raises:
-        InputError: the file is wrong, the model does not know the kind of box, or there is a kind but no file.
-    """
-    if arguments.boxes is None:
-        if arguments.box_kind is not None:
-            raise InputError(f"--box-kind {arguments.box_kind} says what drew the boxes of --boxes; give that file too")
-        return None
-    return read_known_boxes(arguments.boxes, arguments.box_kind, model)
 
 
 def unused_rows(names: Sequence[str]) -> str:
@@ -199,6 +178,15 @@ def given_starts(arguments: argparse.Namespace) -> Starts:
     return Starts(arguments.starts, *arguments.rotations)
 
 
+def given_fitting(arguments: argparse.Namespace) -> Fitting:
+    """How the options of `add_detector` and `add_starts` say that faces are found and fitted.
+
+    Raises:
+        InputError: a number out of range.
+    """
+    return Fitting(arguments.detector, given_search(arguments), given_starts(arguments))
+
+
 def add_refine(command: argparse.ArgumentParser) -> None:
     """``--refine``."""
     command.add_argument(
@@ -225,33 +213,42 @@ def add_head_model(command: argparse.ArgumentParser) -> None:
     )
 
 
+def seed(text: str) -> int:
+    """A seed on the command line: a whole number that is not negative."""
+    number = whole_number(text)
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
+    return number
+
+
+# How the fields of `Greedy` are read; their defaults are its own.
+_GREEDY: dict[str, dict[str, Any]] = {
+    "windows": {
+        "type": float,
+        "nargs": "+",
+        "metavar": "SHARE",
+        "help": "side of the descriptor window as a share of the face's side, one number a step; the thesis's constant "
+        "is 32 / FACE for every step",
+    },
+    "augmentations": {"type": int, "help": "starts drawn a face"},
+    "variance": {"type": float, "help": "share kept by the features' PCA"},
+    "ridge": {"type": float, "help": "ridge strength; 0 is least squares"},
+    "rank": {
+        "type": int,
+        "help": "directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
+        "unless given, all",
+    },
+    "spread": {"type": float, "help": "factor on the spread of the starts"},
+    "seed": {"type": seed, "help": "same seed, machine and cores: same model"},
+}
+
+
 def add_training(command: argparse.ArgumentParser) -> None:
     """The options of training, whatever the method."""
-    command.add_argument(
-        "--windows",
-        type=float,
-        nargs="+",
-        default=list(_DEFAULT.greedy.windows),
-        metavar="SHARE",
-        help="side of the descriptor window as a share of the face's side, one number a step; "
-        "the thesis's constant is 32 / FACE for every step",
-    )
-    command.add_argument("--augmentations", type=int, default=_DEFAULT.greedy.augmentations, help="starts drawn a face")
-    command.add_argument(
-        "--variance", type=float, default=_DEFAULT.greedy.variance, help="share kept by the features' PCA"
-    )
-    command.add_argument(
-        "--ridge", type=float, default=_DEFAULT.greedy.ridge, help="ridge strength; 0 is least squares"
-    )
-    command.add_argument(
-        "--rank",
-        type=int,
-        help="directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
-        "unless given, all",
-    )
-    command.add_argument(
-        "--spread", type=float, default=_DEFAULT.greedy.spread, help="factor on the spread of the starts"
-    )
+    for name, words in _GREEDY.items():
+        usual = getattr(_DEFAULT.greedy, name)
+        default = list(usual) if isinstance(usual, tuple) else usual
+        command.add_argument(f"--{name}", default=default, **words)
     command.add_argument(
         "--shape-variance", type=float, default=_DEFAULT.shape_variance, help="share kept by the shape model's PCA"
     )
@@ -287,9 +284,6 @@ def add_training(command: argparse.ArgumentParser) -> None:
         type=float,
         metavar="PIXELS",
         help="by which labels lie right of and below what they mark, and the model's fits then too: 0 unless given",
-    )
-    command.add_argument(
-        "--seed", type=seed, default=_DEFAULT.greedy.seed, help="same seed, machine and cores: same model"
     )
 
 
@@ -332,6 +326,16 @@ def model_target(out: str) -> Path:
     return path
 
 
+def given_greedy(arguments: argparse.Namespace) -> Greedy:
+    """The options of how a cascade is learned.
+
+    Raises:
+        InputError: an option out of range.
+    """
+    given: dict[str, Any] = {name: getattr(arguments, name) for name in _GREEDY}
+    return Greedy(**given | {"windows": tuple(given["windows"])})
+
+
 def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
     """The options of training that the command line gives; faces of unknown landmarks are not mirrored.
 
@@ -351,15 +355,7 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
             descriptor = replace(descriptor, **{name: choice})
     sides = {name: side for name in ("crop", "face", "shift") if (side := getattr(arguments, name)) is not None}
     return Options(
-        greedy=Greedy(
-            windows=tuple(arguments.windows),
-            augmentations=arguments.augmentations,
-            variance=arguments.variance,
-            ridge=arguments.ridge,
-            rank=arguments.rank,
-            spread=arguments.spread,
-            seed=arguments.seed,
-        ),
+        greedy=given_greedy(arguments),
         starts=starts,
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,
@@ -370,14 +366,6 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str)
         descriptor=None if descriptor == usual else descriptor,
         frame=replace(descriptor.frame, **sides) if sides else None,
     )
-
-
-def seed(text: str) -> int:
-    """A seed on the command line: a whole number that is not negative."""
-    number = whole_number(text)
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"expected a seed of 0 or more; got {text}")
-    return number
 
 
 def out_folder(path: str) -> Path:

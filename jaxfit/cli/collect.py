@@ -7,11 +7,9 @@ from jaxfit.cli.arguments import (
     add_pictures,
     add_refine,
     add_starts,
-    given_search,
-    given_starts,
+    given_fitting,
 )
 from jaxfit.cli.progress import Bars, say
-from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.pictures import find_images
 from jaxfit.runs.collection import fit_collection
 from jaxfit.runs.workers import BatchFitter
@@ -39,15 +37,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
-    fitter = BatchFitter(
-        options.model,
-        options.detector or DEFAULT_DETECTOR,
-        given_search(options),
-        given_starts(options),
-        options.refine,
-        options.cores,
-        options.max_megapixels,
-    )
+    fitter = BatchFitter(options.model, given_fitting(options), options.refine, options.cores, options.max_megapixels)
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:
         outcomes = fit_collection(

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from jaxfit.cli.arguments import add_starts, given_starts, untrained_starts
-from jaxfit.cli.progress import report_problems, say
+from jaxfit.cli.progress import say, warn
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.fitting.export import export_model, load_exported
 from jaxfit.models.files import SUFFIX, load
@@ -29,9 +29,9 @@ def run(options: argparse.Namespace) -> int:
     model, out = load(options.model), Path(options.out)
     starts = given_starts(options)
     require_no_inputs([out], [options.model])
+    warn(untrained_starts(options.model, model, starts))
     export_model(model, out, starts)
     exported = load_exported(out)
-    report_problems(untrained_starts(options.model, model, starts))
     side = exported.frame.crop
     say(f"{out}: {options.model}, {model.scheme.name}, {out.stat().st_size / 2**20:.1f} MiB")
     say(f"in: crops (N, {side}, {side}) uint8")

@@ -10,13 +10,12 @@ from jaxfit.cli.arguments import (
     add_refine,
     add_starts,
     add_unshift,
-    given_search,
-    given_starts,
+    given_fitting,
     given_unshift,
     untrained_starts,
     unused_rows,
 )
-from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.pictures import find_images
 from jaxfit.data.writers import DEFAULT_FORMATS, WRITERS
 from jaxfit.models.files import load
@@ -68,16 +67,14 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no face was fitted at all."""
-    starts = given_starts(options)
+    fitting = given_fitting(options)
     how = FolderRun(
         out=options.out,
         model=options.model,
-        detector=options.detector,
-        search=given_search(options),
+        fitting=fitting,
         boxes=options.boxes,
         folders=tuple(path for path in options.pictures if Path(path).is_dir()),
         box_kind=options.box_kind,
-        starts=starts,
         unshift=options.unshift,
         refine=options.refine,
         formats=tuple(options.format),
@@ -87,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
         overwrite=options.overwrite,
     )
     pictures = find_images(options.pictures, options.recursive)
+    model = load(options.model)
+    warn(untrained_starts(options.model, model, fitting.starts) + given_unshift(options, model))
     with Bars() as bars:
         report = fit_folder(how, pictures, bars)
     if report.resumed:
@@ -96,9 +95,7 @@ def run(options: argparse.Namespace) -> int:
             f"left out: {len(report.left_out)} pictures that an earlier run wrote to {options.out}, "
             f"such as {report.left_out[0]}"
         )
-    model = load(options.model)
-    problems = untrained_starts(options.model, model, starts) + given_unshift(options, model)
-    problems += [f"{problem.image}: {problem.why}" for problem in report.problems]
+    problems = [f"{problem.image}: {problem.why}" for problem in report.problems]
     if report.unused:
         problems.append(f"{options.boxes}: {unused_rows(report.unused)}")
     report_problems(problems)

@@ -1,6 +1,7 @@
 """Progress on the terminal: a bar where someone is looking, one line a stage in logs."""
 
 import sys
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
@@ -47,6 +48,12 @@ class Bars:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+def warn(sentences: Sequence[str]) -> None:
+    """Say before the work, on standard error, what of the request may not do what is meant."""
+    for sentence in sentences:
+        say(f"warning: {plain(sentence)}", file=sys.stderr, flush=True)
 
 
 def report_problems(problems: list[str], shown: int = 20) -> None:

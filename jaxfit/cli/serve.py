@@ -3,13 +3,11 @@
 import argparse
 import webbrowser
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeVar
 
-from jaxfit.cli.arguments import known_detectors
 from jaxfit.cli.progress import say
-from jaxfit.data.detectors import DEFAULT_DETECTOR, detector_named
+from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
@@ -35,8 +33,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--detector",
         nargs="+",
         metavar="SPEC",
-        help=f"what finds the faces, to choose from: {known_detectors()} "
-        "(default: yunet, haar, whole, and dlib if installed)",
+        help=f"what finds the faces, to choose from: {', '.join(detector_specs())} (default: all that are installed)",
     )
     command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")
@@ -46,7 +43,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     models = options.model or sorted(bundled(), key=lambda name: name != DEFAULT_MODEL)
-    detectors = options.detector or _detectors()
+    detectors = options.detector or [name for name, entry in DETECTORS.items() if entry.installed]
     service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
         try:
@@ -60,11 +57,6 @@ def run(options: argparse.Namespace) -> int:
         finally:
             service.close()
     return 0
-
-
-def _detectors() -> list[str]:
-    """Those that need no file."""
-    return [DEFAULT_DETECTOR, "haar", *(["dlib"] if find_spec("dlib") else []), "whole"]
 
 
 def _model_name(spec: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
-from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
@@ -55,7 +55,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Track and write; 1 if there was no face at all."""
     model = load(options.model)
-    problems = given_unshift(options, model)
+    warn(given_unshift(options, model))
     model = model.unshifted() if options.unshift else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()
@@ -70,15 +70,14 @@ def run(options: argparse.Namespace) -> int:
         )
         require_own_folder(options.out, _COMMAND)
         with held(options.out, _COMMAND):
-            return _write(options, model, video, tracked, problems)
+            return _write(options, model, video, tracked)
 
 
-def _write(
-    options: argparse.Namespace, model: Model, video: Video, tracked: Iterator[TrackedFrame], problems: list[str]
-) -> int:
+def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Iterator[TrackedFrame]) -> int:
     """Track, and write what was found, and the problems; 1 if there was no face at all."""
     folder, written = Path(options.out), [_TABLE, *([_OVERLAY] if options.overlay else [])]
     require_no_inputs([folder / name for name in (*written, MANIFEST)], [options.video, options.model])
+    problems: list[str] = []
     frames = faces = 0
     people: set[int] = set()
     with ExitStack() as stack:

@@ -19,10 +19,10 @@ from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
 from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.cli.together import add_processes
 from jaxfit.data.pictures import GreyPictures, Read, read_grey
-from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import text_table
-from jaxfit.fitting.stream import Progress
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.choose import OPTIONS, Chosen, choose_options
@@ -33,8 +33,9 @@ from jaxfit.models.files import SUFFIX, save
 from jaxfit.models.model import Model
 from jaxfit.processes import is_first, require_alone
 from jaxfit.schemes.normalisers import NORMALISERS
+from jaxfit.types import Progress
 
-_MEASURED = 256  # faces at most whose errors are told in the end
+_MEASURED = 256  # faces at most whose errors are said in the end
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -63,11 +63,11 @@ class Crops:
     @classmethod
     def of(cls, crops: Sequence[Crop | str], frame: Frame) -> "Crops":
         """Crops that were cut; where there is a reason in place of one, it is black."""
-        made = cls.empty(len(crops), frame)
+        several = cls.empty(len(crops), frame)
         for row, crop in enumerate(crops):
             if not isinstance(crop, str):
-                made.pixels[row], made.scale[row], made.offset[row], made.rotation[row] = crop
-        return made
+                several.pixels[row], several.scale[row], several.offset[row], several.rotation[row] = crop
+        return several
 
     def __len__(self) -> int:
         return len(self.pixels)

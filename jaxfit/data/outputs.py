@@ -156,8 +156,8 @@ def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") 
         if isinstance(was, dict) and isinstance(is_now, dict):
             yield from _differences(was, is_now, f"{within}{key}.")
         elif was != is_now:
-            told = ("none" if value is None else json.dumps(value) for value in (was, is_now))
-            yield f"{within}{key}: {' there, '.join(told)} here"
+            values = ("none" if value is None else json.dumps(value) for value in (was, is_now))
+            yield f"{within}{key}: {' there, '.join(values)} here"
 
 
 def not_written(path: str | Path, error: Exception) -> str:

@@ -17,5 +17,5 @@ def descriptor_like(usual: Descriptor, kind: str) -> Descriptor:
     """
     if kind not in DESCRIPTORS:
         raise InputError(f"expected a descriptor among {', '.join(DESCRIPTORS)}; got {kind!r}")
-    made = DESCRIPTORS[kind]
-    return usual if type(usual) is made else made(orientation="face" if usual.turns else "upright")
+    wanted = DESCRIPTORS[kind]
+    return usual if type(usual) is wanted else wanted(orientation="face" if usual.turns else "upright")

@@ -13,23 +13,23 @@ BINS = 15
 
 @dataclass(frozen=True)
 class Reliability:
-    """Probabilities beside how often what they tell happened, in bins of equal width from 0 to 1.
+    """Predicted probabilities beside how often the predictions came true, in bins of equal width from 0 to 1.
 
     Attributes:
         counts: (B,) predictions in each bin.
-        told: (B,) their mean; NaN in an empty bin.
-        happened: (B,) the share of them that came true; NaN in an empty bin.
+        predicted: (B,) the mean of their probabilities; NaN in an empty bin.
+        observed: (B,) the share of them that came true; NaN in an empty bin.
     """
 
     counts: np.ndarray
-    told: np.ndarray
-    happened: np.ndarray
+    predicted: np.ndarray
+    observed: np.ndarray
 
     @property
     def error(self) -> float:
-        """Expected calibration error: the mean of |told - happened| over all predictions; NaN without any."""
+        """Expected calibration error: the mean of |predicted - observed| over all predictions; NaN without any."""
         total = self.counts.sum()
-        gaps = np.nan_to_num(np.abs(self.told - self.happened))
+        gaps = np.nan_to_num(np.abs(self.predicted - self.observed))
         return float((self.counts * gaps).sum() / total) if total else math.nan
 
 
@@ -67,10 +67,10 @@ def reliability(probabilities: np.ndarray, happened: np.ndarray, bins: int = BIN
     which = np.clip(np.ceil(probabilities * bins).astype(int) - 1, 0, bins - 1)
     counts = np.bincount(which, minlength=bins)
     with np.errstate(invalid="ignore"):
-        told, share = (
+        predicted, share = (
             np.bincount(which, weights=values, minlength=bins) / counts for values in (probabilities, happened)
         )
-    return Reliability(counts, told, share)
+    return Reliability(counts, predicted, share)
 
 
 def calibration_error(probabilities: np.ndarray, happened: np.ndarray, bins: int = BINS) -> float:

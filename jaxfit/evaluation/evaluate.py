@@ -1,26 +1,22 @@
-"""Measuring a model on labelled faces: starting boxes, fits, errors; every face is accounted for."""
+"""Measuring a model on labelled faces in boxes: fits and errors; every face is accounted for."""
 
 import time
-import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxfit.cascade.model import first_steps
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, boxes_of_pictures, jitter, rotation_array
-from jaxfit.data.detectors import Detection, Detector, Search, best_match
-from jaxfit.data.detectors.whole import KIND as WHOLE
+from jaxfit.data.boxes import rotation_array
 from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.evaluation.errors import nmed
-from jaxfit.fitting.find import find_faces
+from jaxfit.fitting.batches import batches_of, compile_batches
 from jaxfit.fitting.fit import fits_of_sources, sources_of
 from jaxfit.fitting.fits import Fits, Problem
-from jaxfit.fitting.stream import Pipeline, Progress, batches_of, compile_batches
+from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.labels.aligned import with_depth
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.digests import DigestingReader
@@ -30,8 +26,8 @@ from jaxfit.schemes.conversions import convert, sources
 from jaxfit.schemes.normalisers import default_normaliser, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.pose_order import in_order
+from jaxfit.types import Progress, silent
 
-_NO_BOX = np.full(4, np.nan)
 _WIDE = 45.0  # degrees of yaw: of a head that is turned further, the outer eye corners come together
 
 
@@ -100,115 +96,6 @@ class Evaluation:
         )
 
 
-def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
-    """Boxes (N, 4) to start from: the true landmarks' bounding square, moved by N(0, 6 %) of its side in x and y and
-    scaled by exp(N(0, 8 %)).
-
-    A face gets the same box whatever other faces come with it. A face without any landmark gets its own box, as the
-    dataset has it, or NaN.
-
-    Raises:
-        InputError: a negative seed.
-    """
-    if seed < 0:
-        raise InputError(f"expected a seed of 0 or more; got {seed}")
-    boxes = []
-    for face in faces:
-        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
-        own = _NO_BOX if face.box is None else face.box
-        boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else own)
-    return np.array(boxes).reshape(-1, 4)
-
-
-def detected_boxes(
-    faces: Sequence[FaceRecord],
-    detector: str | Detector,
-    search: Search = Search(),
-    progress: Progress = lambda stage, done, total: None,
-) -> tuple[np.ndarray, list[str], np.ndarray]:
-    """The boxes (N, 4) in which a detector finds labelled faces, their kinds, and their rotations (N,) in degrees; NaN,
-    squares and 0 where it does not.
-
-    Processes that are joined share the pictures, as in `evaluate`.
-
-    Args:
-        faces: N labelled faces with landmarks.
-        detector: as in ``jaxfit.detect_faces``.
-        search: how faces are looked for, by detectors that come by name.
-        progress: called with the stage's name, pictures done and pictures in all.
-
-    Raises:
-        InputError: there is no such detector.
-    """
-    pictures = {picture: number for number, picture in enumerate(dict.fromkeys(face.image for face in faces))}
-    names = list(pictures)
-    mine = share_of(names)
-    found = find_faces([names[number] for number in mine], detector, search=search, progress=progress)
-    in_pictures: list[list[Detection]] = [[] for _ in pictures]
-    found_here = [mine[found.pictures].tolist(), found.boxes.tolist(), found.kinds, found.rotations.tolist()]
-    for part in exchanged(found_here):
-        for picture, box, kind, rotation in zip(*part, strict=True):
-            in_pictures[picture].append(Detection(np.array(box), kind, rotation))
-    rotations = np.zeros(len(faces))
-    boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
-    for number, face in enumerate(faces):
-        if not face.present.any():
-            continue
-        candidates, truth = in_pictures[pictures[face.image]], bounding_square(face.landmarks)
-        whole = [candidate for candidate in candidates if candidate.kind == WHOLE]  # found wherever the face is
-        if match := next(iter(whole), None) or best_match(candidates, truth):
-            boxes[number], kinds[number], rotations[number] = match.box, match.kind, match.rotation
-    return boxes, kinds, rotations
-
-
-def match_boxes(
-    faces: Sequence[FaceRecord],
-    named: Mapping[str, Sequence[GivenBox]],
-    folders: Iterable[str | Path] = (),
-) -> tuple[np.ndarray, list[str], np.ndarray]:
-    """Boxes (N, 4) of labelled faces, their kinds, and their rotations (N,) in degrees, from those that a file gives;
-    each box goes to one face at most, the nearest pairs first.
-
-    NaN, squares and 0 where none is left for a face: it counts as undetected.
-
-    Args:
-        faces: N labelled faces.
-        named: boxes by what the file calls their picture, as ``jaxfit.data.read_boxes`` reads them.
-        folders: that paths in the file may be relative to.
-
-    Raises:
-        InputError: a name may mean several pictures.
-    """
-    return share_boxes(faces, boxes_of_pictures(named, [face.image for face in faces], folders)[0])
-
-
-def share_boxes(
-    faces: Sequence[FaceRecord], of_pictures: Mapping[Path, Sequence[GivenBox]]
-) -> tuple[np.ndarray, list[str], np.ndarray]:
-    """What `match_boxes` gives, from the boxes of each picture."""
-    boxes, rotations = np.tile(_NO_BOX, (len(faces), 1)), np.zeros(len(faces))
-    kinds = [SQUARE] * len(faces)
-    pictures: dict[Path, list[int]] = {}
-    for number, face in enumerate(faces):
-        pictures.setdefault(face.image, []).append(number)
-    for picture, numbers in pictures.items():
-        given = list(of_pictures.get(picture, []))
-        pairs = sorted((_distance(faces[n], each.box), n, k) for n in numbers for k, each in enumerate(given))
-        used: set[int] = set()
-        for _, number, k in pairs:
-            if k not in used and np.isnan(boxes[number]).all():
-                boxes[number], rotations[number], kind = given[k]
-                kinds[number] = kind or SQUARE
-                used.add(k)
-    return boxes, kinds, rotations
-
-
-def _distance(face: FaceRecord, box: np.ndarray) -> float:
-    if not face.present.any():
-        return 0.0
-    return float(np.hypot(*(box_centre(box) - box_centre(bounding_square(face.landmarks)))))
-
-
 def evaluate(
     model: Model,
     faces: Sequence[FaceRecord],
@@ -219,9 +106,9 @@ def evaluate(
     scheme: Scheme | None = None,
     normaliser: str | None = None,
     starts: Starts = Starts(),
-    passes: int = 1,
+    passes: int | None = None,
     read: Read = read_grey,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Evaluation:
     """Fit labelled faces from given boxes and measure the errors: `fit_labelled`, then `measure`.
 
@@ -247,7 +134,7 @@ def evaluate(
         ProcessError: another of the processes ended.
     """
     require_measurable(model.scheme, scheme or model.scheme, normaliser, faces)
-    pipeline = Pipeline(model, starts=starts, passes=passes, read=read)
+    pipeline = Fitting(starts=starts, passes=passes).pipeline_in_boxes(model, read=read)
     fits, seconds, learned = fit_labelled(pipeline, faces, boxes, kind=kind, rotations=rotations, progress=progress)
     how: dict[str, Any] = {"seconds_per_face": seconds, "learned": learned}
     return measure(fits, faces, scheme=scheme, normaliser=normaliser, model=model, **how)
@@ -260,7 +147,7 @@ def evaluate_steps(
     *,
     normaliser: str | None = None,
     read: Read = read_grey,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> list[Evaluation]:
     """What `evaluate` gives, with the same arguments, for the model's first step alone, its first two, and so on."""
     counts = range(1, len(model.cascade.weights) + 1)
@@ -303,7 +190,7 @@ def fit_labelled(
     *,
     kind: str | Sequence[str] = SQUARE,
     rotations: np.ndarray | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> tuple[Fits, float, np.ndarray | None]:
     """The fits of labelled faces, a row each, the seconds that a face took, and (N,) bool, which pictures the model
     learned from, None if it does not say; joined processes share the pictures.
@@ -330,8 +217,8 @@ def fit_labelled(
         model.placement(each)
     require_same(model.cascade, model.aligned, model.scheme.name, [face.face for face in faces], boxes)
     boxed = np.isfinite(boxes).all(1)
-    mine = share_of([face.image for face in faces])
-    if own := int(boxed[mine].sum()):
+    share = share_of([face.image for face in faces])
+    if own := int(boxed[share].sum()):
         progress("compiling (cached for later runs)", 0, len(faces))
         compile_batches(pipeline, list(dict.fromkeys(batches_of(own))))
     reader = DigestingReader(pipeline.read or read_grey)
@@ -339,25 +226,25 @@ def fit_labelled(
         pipeline = replace(pipeline, read=reader)
     begin = time.perf_counter()
     sources_ = sources_of(
-        model, [faces[row].image for row in mine], boxes[mine], [kinds[row] for row in mine], turned[mine]
+        model, [faces[row].image for row in share], boxes[share], [kinds[row] for row in share], turned[share]
     )
     fits = fits_of_sources(pipeline, sources_, progress)
     seconds = max(exchanged(time.perf_counter() - begin))
     learned = None
     if (digests := model.learned) is not None:
-        learned = gathered(reader.among([faces[row].image for row in mine], digests), mine, len(faces))
-    return _of_all(fits, mine, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
+        learned = gathered(reader.among([faces[row].image for row in share], digests), share, len(faces))
+    return _of_all(fits, share, faces, kinds), seconds / boxed.sum() if boxed.any() else float("nan"), learned
 
 
-def _of_all(fits: Fits, mine: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
-    """The fits of all processes, of which this one made those of the faces numbered ``mine``."""
-    own = [[int(mine[problem.picture]), problem.why] for problem in fits.problems]
+def _of_all(fits: Fits, share: np.ndarray, faces: Sequence[FaceRecord], kinds: Sequence[str]) -> Fits:
+    """The fits of all processes, of which this one made those of the faces numbered ``share``."""
+    own = [[int(share[problem.picture]), problem.why] for problem in fits.problems]
     problems = sorted((row, why) for part in exchanged(own) for row, why in part)
-    whole: dict[str, Any] = {name: gathered(values, mine, len(faces)) for name, values in fits.arrays.items()}
+    whole: dict[str, Any] = {name: gathered(values, share, len(faces)) for name, values in fits.arrays.items()}
     return replace(
         fits,
         names=tuple(str(face.image) for face in faces),
-        sizes=gathered(fits.sizes, mine, len(faces)),
+        sizes=gathered(fits.sizes, share, len(faces)),
         kinds=tuple(kinds),
         problems=tuple(Problem(row, str(faces[row].image), why, row) for row, why in problems),
         **whole | {"pictures": np.arange(len(faces))},

@@ -67,7 +67,7 @@ def plot_ced(
 def plot_reliability(
     reliability_by_name: dict[str, Reliability], ax: "matplotlib.axes.Axes | None" = None
 ) -> "matplotlib.axes.Axes":
-    """Reliability diagram: how often what was told with some probability happened; on the diagonal, as often as told.
+    """Reliability diagram: how often predictions of some probability came true; on the diagonal, as often as predicted.
 
     Args:
         reliability_by_name: from ``evaluation.calibration.reliability``; the legend has the calibration error of each.
@@ -82,10 +82,10 @@ def plot_reliability(
     ax = ax if ax is not None else pyplot().subplots()[1]
     ax.plot([0, 1], [0, 1], color="0.7", linewidth=1)
     for name, each in reliability_by_name.items():
-        (line,) = ax.plot(each.told, each.happened, label=f"{name} (ECE {each.error:.3f})")
+        (line,) = ax.plot(each.predicted, each.observed, label=f"{name} (ECE {each.error:.3f})")
         sizes = 200 * each.counts / max(each.counts.max(), 1)
-        ax.scatter(each.told, each.happened, s=sizes, color=line.get_color(), alpha=0.5)
-    ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal", xlabel="told", ylabel="happened")
+        ax.scatter(each.predicted, each.observed, s=sizes, color=line.get_color(), alpha=0.5)
+    ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0), aspect="equal", xlabel="predicted", ylabel="observed")
     ax.grid(alpha=0.3)
     if reliability_by_name:
         ax.legend(loc="upper left")

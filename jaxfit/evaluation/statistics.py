@@ -189,10 +189,10 @@ def holm(p_values: np.ndarray) -> np.ndarray:
         InputError: not a vector of numbers in [0, 1] or NaN.
     """
     p_values = np.asarray(p_values, dtype=np.float64)
-    made = ~np.isnan(p_values)
-    if p_values.ndim != 1 or (p_values[made] < 0).any() or (p_values[made] > 1).any():
+    tested = ~np.isnan(p_values)
+    if p_values.ndim != 1 or (p_values[tested] < 0).any() or (p_values[tested] > 1).any():
         raise InputError(f"expected a vector of p-values in [0, 1], NaN where there is none; got {p_values}")
-    ascending = np.flatnonzero(made)[np.argsort(p_values[made])]
+    ascending = np.flatnonzero(tested)[np.argsort(p_values[tested])]
     hypotheses_left = np.arange(len(ascending), 0, -1)
     adjusted = np.full_like(p_values, np.nan)
     adjusted[ascending] = np.minimum(np.maximum.accumulate(hypotheses_left * p_values[ascending]), 1.0)

@@ -170,7 +170,7 @@ class Config:
             if frame := values.get("frame"):
                 values["frame"] = vars(frame)
             if descriptor := values.get("descriptor"):
-                kind = next(kind for kind, made in DESCRIPTORS.items() if type(descriptor) is made)
+                kind = next(kind for kind, known in DESCRIPTORS.items() if type(descriptor) is known)
                 values["descriptor"] = {"kind": kind, **vars(descriptor)}
         chosen = {"augmentations": self.chosen_augmentations, "steps": self.chosen_steps}
         values = {key: getattr(self, key) for key in _PLAIN} | {"chosen": chosen, "datasets": plans, "methods": methods}
@@ -268,10 +268,10 @@ def _options(where: str, usual: Options, descriptor: Descriptor, values: Mapping
 def _descriptor(where: str, usual: Descriptor, table: Mapping[str, Any]) -> Descriptor:
     """The usual descriptor, or one of another ``kind``, changed as a table says."""
     try:
-        made = descriptor_like(usual, table["kind"]) if "kind" in table else usual
+        descriptor = descriptor_like(usual, table["kind"]) if "kind" in table else usual
     except InputError as error:
         raise InputError(f"{where} descriptor.kind: {error}") from None
-    return _part(where, "descriptor", made, _without(table, {"kind"}))
+    return _part(where, "descriptor", descriptor, _without(table, {"kind"}))
 
 
 def _part(where: str, key: str, part: Any, table: Mapping[str, Any]) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxfit.data.outputs import require_same_settings
 from jaxfit.data.pictures import GreyPictures
 from jaxfit.errors import InputError
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.experiments.arrays import Arrays, load_arrays, save_arrays
 from jaxfit.experiments.config import Config, DatasetPlan

@@ -17,8 +17,8 @@ from jaxfit.errors import InputError, JaxfitError
 from jaxfit.experiments.config import Config
 from jaxfit.experiments.experiment import Experiment
 from jaxfit.experiments.tasks import GridTask, PoseModelTask, Task, plan_tasks
-from jaxfit.fitting.stream import Progress
 from jaxfit.models.files import load
+from jaxfit.types import Progress, silent
 
 # Seconds between looks at what other processes do.
 _PATIENCE = 2.0
@@ -51,7 +51,7 @@ class Status:
 def run_experiment(
     config: Config,
     folder: Path,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
     begun: Callable[[Task, Status], None] = lambda task, status: None,
 ) -> None:
     """Do all tasks of an experiment that are not done; several processes may do so at once, in the same folder.
@@ -94,12 +94,12 @@ def run_experiment(
                     failed[task.name] = error
                     continue
                 seconds = np.array(time.perf_counter() - begin)
-                made = {
+                about = {
                     "seconds": seconds,
                     "work": np.array(task.work(experiment)),
                     "made_with": np.array(_made_with()),
                 }
-                experiment.save_result(task.name, {**arrays, **made})
+                experiment.save_result(task.name, {**arrays, **about})
                 ran += 1
                 if ran % _TASKS_COMPILED == 0:
                     jax.clear_caches()

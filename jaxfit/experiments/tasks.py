@@ -24,7 +24,6 @@ from jaxfit.experiments.arrays import Arrays
 from jaxfit.experiments.config import Config, MethodPlan
 from jaxfit.experiments.experiment import Experiment
 from jaxfit.fitting.fit import fit
-from jaxfit.fitting.stream import Progress
 from jaxfit.labels.datasets import parse_spec
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import METHODS, Options, view_of
@@ -32,6 +31,7 @@ from jaxfit.learning.placements import evaluate_pose
 from jaxfit.learning.train import Trained, train
 from jaxfit.models.model import Model
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress, silent
 
 Methods = tuple[MethodPlan, ...]
 
@@ -129,7 +129,7 @@ class GridTask:
         """Train as this does, on so many of the faces and from one start each: what that takes is compiling."""
         faces = experiment.faces[self.dataset]
         few = faces.chosen(faces.learned(self.fold)[:count])
-        _train(experiment, faces.scheme, few, self.methods, 1, lambda stage, done, total: None)
+        _train(experiment, faces.scheme, few, self.methods, 1, silent)
 
     def run(self, experiment: Experiment, progress: Progress) -> Arrays:
         """Errors (steps, faces) and, with the chosen augmentations, fits of the chosen steps and the model, kept."""

@@ -6,12 +6,15 @@ from jaxfit.fitting.fit import fit, warm_up
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.fitting.fuse import fuse
 from jaxfit.fitting.one_euro import OneEuro
+from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine
-from jaxfit.fitting.stream import Pipeline, Source, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.fitting.track import TrackedFrame, Tracker, track
 
 __all__ = [
     "Fits",
+    "Fitting",
     "Found",
     "OneEuro",
     "Pipeline",

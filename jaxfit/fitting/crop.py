@@ -11,7 +11,8 @@ from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of, sources_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Pipeline, Source, cut_source
+from jaxfit.fitting.pipeline import Pipeline
+from jaxfit.fitting.sources import Source, cut_picture
 from jaxfit.models.model import SQUARE, Model
 
 _TOGETHER = 16  # pictures that a thread cuts before it hands them on
@@ -58,4 +59,4 @@ def crop_faces(
 
 
 def _cut_some(pipeline: Pipeline, sources: Sequence[Source]) -> list[Crop | str]:
-    return [face for source in sources for face in cut_source(pipeline, source)]
+    return [face for source in sources for face in cut_picture(pipeline, source).faces]

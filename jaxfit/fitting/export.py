@@ -20,7 +20,7 @@ from jaxfit.cascade.fit import find
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.inputs import read_regular
 from jaxfit.errors import InputError, ModelError
-from jaxfit.fitting.stream import BATCHES
+from jaxfit.fitting.batches import BATCHES
 from jaxfit.image.frame import Frame
 from jaxfit.models.files import (
     DAMAGE,
@@ -220,7 +220,7 @@ def _checksum(header: dict[str, Any], tensors: dict[str, np.ndarray]) -> str:
 
 
 def _parse(data: bytes) -> Exported:
-    header = read_header(data, _KEY, EXPORT_FORMAT, "exported model", made="export")
+    header = read_header(data, _KEY, EXPORT_FORMAT, "exported model", remedy="export")
     tensors = parse_tensors(data)
     if header.pop("sha256") != _checksum(header, tensors):
         raise ModelError("damaged: the checksum is not that of the contents; copy or export it again")

@@ -6,12 +6,13 @@ from functools import partial
 
 import numpy as np
 
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, finder_of
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
 from jaxfit.data.pictures import Images, Read, several
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import Progress, Seen, Source, see
+from jaxfit.fitting.sources import PictureFaces, Source, picture_faces
+from jaxfit.types import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ def find_faces(
     *,
     search: Search = Search(),
     read: Read | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Found:
     """Look for faces in N pictures; one that cannot be used does not stop the others.
 
@@ -54,26 +55,26 @@ def find_faces(
         InputError: there is no such detector, or one picture comes instead of a sequence.
     """
     images = several(images)
-    finder = finder_of(detector, search)
+    finder = detector_named(detector, search)
     sources = [Source(image, name_of(image)) for image in images]
 
-    def found_in(source: Source) -> Seen:
-        return see(source, finder, read)._replace(picture=None)
+    def faces_of(source: Source) -> PictureFaces:
+        return picture_faces(source, finder, read)._replace(picture=None)
 
-    seen: list[Seen] = []
+    found: list[PictureFaces] = []
     progress("finding faces", 0, len(sources))
-    with closing(in_order((partial(found_in, source) for source in sources), reading_threads(len(sources)))) as each:
+    with closing(in_order((partial(faces_of, source) for source in sources), reading_threads(len(sources)))) as each:
         for one in each:
-            seen.append(one)
-            progress("finding faces", len(seen), len(sources))
+            found.append(one)
+            progress("finding faces", len(found), len(sources))
     return Found(
-        pictures=np.repeat(np.arange(len(seen)), [len(one.boxes) for one in seen]),
-        boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in seen)]),
-        kinds=tuple(kind for one in seen for kind in one.kinds),
-        rotations=np.concatenate([np.empty(0), *(one.rotations for one in seen)]),
+        pictures=np.repeat(np.arange(len(found)), [len(one.boxes) for one in found]),
+        boxes=np.concatenate([np.empty((0, 4)), *(one.boxes for one in found)]),
+        kinds=tuple(kind for one in found for kind in one.kinds),
+        rotations=np.concatenate([np.empty(0), *(one.rotations for one in found)]),
         problems=tuple(
             Problem(number, source.name, one.why)
-            for number, (source, one) in enumerate(zip(sources, seen, strict=True))
+            for number, (source, one) in enumerate(zip(sources, found, strict=True))
             if one.why
         ),
     )

@@ -1,6 +1,6 @@
 """Fitting pictures: files or arrays in, landmarks out."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -10,12 +10,16 @@ from numpy.typing import ArrayLike
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import box_array, rotation_array
-from jaxfit.data.detectors import ROUGH_KINDS, Detector, Search, finder_of
+from jaxfit.data.detectors import Detector, Search
 from jaxfit.data.pictures import Image, Images, Read, several
 from jaxfit.errors import InputError
+from jaxfit.fitting.batches import batch_sizes, compile_batches
 from jaxfit.fitting.fits import Fits
-from jaxfit.fitting.stream import Pipeline, Progress, Source, batch_sizes, compile_batches, stream
+from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.model import SQUARE, Model
+from jaxfit.types import Progress, silent
 
 
 def fit(
@@ -30,7 +34,7 @@ def fit(
     starts: Starts = Starts(),
     passes: int | None = None,
     read: Read | None = None,
-    progress: Progress = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> Fits:
     """Find the landmarks of faces, and their 3D shapes and poses if the model knows of them.
 
@@ -67,35 +71,19 @@ def fit(
         InputError: ``images`` is one picture, or nothing that pictures come in; ``boxes`` is not (N, 4), ``kind``,
             ``detector`` or ``search`` is unknown or not asked for, or there are no passes.
     """
-    images = several(images)
+    images, fitting = several(images), Fitting(detector, search, starts, passes)
     if boxes is None:
         if kind != SQUARE or rotations is not None:
             raise InputError(
                 "expected boxes of this kind or with these rotations; without boxes, the detector says both"
             )
-        finder = finder_of(detector, search)
-        pipeline = Pipeline(model, finder, starts, passes_from(finder) if passes is None else passes, read)
+        pipeline = fitting.pipeline(model, read)
         sources = [Source(image, name_of(image)) for image in images]
         (fits,) = stream(pipeline, [sources], len(sources), progress)
         return fits
-    if detector is not None:
-        raise InputError("expected boxes or a detector that finds them; got both")
-    require_no_search(search)
-    pipeline = Pipeline(model, starts=starts, passes=1 if passes is None else passes, read=read)
+    pipeline = fitting.pipeline_in_boxes(model, read=read)
     sources = sources_of(model, images, boxes, kind, rotations)
     return fits_of_sources(pipeline, sources, progress)
-
-
-def require_no_search(search: Search) -> None:
-    """Complain about a search where boxes are given.
-
-    Raises:
-        InputError: the search is not the default one.
-    """
-    if search != Search():
-        raise InputError(
-            "expected boxes, or how faces are looked for (smallest, score, any rotation); got both: leave out one"
-        )
 
 
 def sources_of(
@@ -143,18 +131,6 @@ def fits_of_sources(pipeline: Pipeline, sources: Sequence[Source], progress: Pro
 def name_of(image: Image) -> str:
     """What a picture is called in results: its file; empty for arrays and bytes."""
     return str(image) if isinstance(image, str | Path) else ""
-
-
-def passes_from(detector: Detector) -> int:
-    """How often the cascade is run from the boxes of a detector, if nothing else is asked for."""
-    return 2 if detector.rough else 1
-
-
-def passes_from_boxes(kinds: Iterable[str]) -> int:
-    """How often the cascade is run from boxes of these kinds in a file: as often as where the detectors that draw them
-    find faces, if all are rough ones'."""
-    kinds = {*kinds}
-    return 2 if kinds and kinds <= ROUGH_KINDS else 1
 
 
 def warm_up(model: Model, batches: Sequence[int] | None = None, starts: Starts = Starts(), passes: int = 1) -> None:

@@ -13,7 +13,7 @@ import jax
 import numpy as np
 
 from jaxfit.data.boxes import bounding_square, box_centre
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, finder_of
+from jaxfit.data.detectors import DEFAULT_DETECTOR, Detection, Detector, Search, detector_named
 from jaxfit.data.detectors.detector import holds, overlap
 from jaxfit.data.pictures import Images, Pixels, require_several, to_eight_bits, to_grey
 from jaxfit.data.videos import DEFAULT_FRAME_RATE, Video, VideoFrame
@@ -99,7 +99,8 @@ def track(
         raise InputError(f"expected a frame rate above 0 a second; got {frame_rate}")
     if not isinstance(frames, str | Path | int | Video):
         require_several(frames)
-    tracker = Tracker(model, detector, search=search, redetect_every=redetect_every, smoothing=smoothing)
+    finder = detector_named(detector, search)
+    tracker = Tracker(model, finder, redetect_every=redetect_every, smoothing=smoothing)
     # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
     opened = Video(frames) if isinstance(frames, str | Path | int) else frames
     return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
@@ -149,7 +150,7 @@ class _Track:
         last: where it was when it was last seen well.
         before: and before that.
         weak: frames in a row without confidence.
-        seen: runs of the detector that found it.
+        found: how often the detector found it.
         missed: runs in a row, since, that did not.
         smoothed: of the 2D landmarks, the 3D ones and the pose, by name.
     """
@@ -159,7 +160,7 @@ class _Track:
     last: _Square
     before: _Square | None = None
     weak: int = 0
-    seen: int = 1
+    found: int = 1
     missed: int = 0
     smoothed: dict[str, Smoothed] = field(default_factory=dict)
 
@@ -206,14 +207,14 @@ class Tracker:
         self.model = model
         self.smoothing = smoothing
         self.redetect_every = redetect_every
-        self._detect = finder_of(detector, search)
+        self._detect = detector_named(detector, search)
         for kind in self._detect.kinds:
             model.placement(kind)
         self._tracks: list[_Track] = []  # oldest first
         self._lost: list[_Track] = []  # not longer ago than they may come back
         self._people = 0
         self._frames = 0
-        self._looked = -redetect_every  # frame in which the detector looked last
+        self._searched = -redetect_every  # frame in which the detector looked last
         self._seconds: float | None = None
         self._small: np.ndarray | None = None
 
@@ -242,20 +243,20 @@ class Tracker:
         seconds = self._time(seconds)
         number, self._frames, self._seconds = self._frames, self._frames + 1, seconds
         if self._cut(picture):
-            self._tracks, self._lost, self._looked = [], [], number - self.redetect_every
+            self._tracks, self._lost, self._searched = [], [], number - self.redetect_every
         faces = self._follow(picture, number, seconds)
         self._lost = [track for track in self._lost if seconds - track.last.seconds <= _FOUND_AGAIN]
         searching = bool(self._lost) or not self._tracks
-        if number - self._looked >= (min(_SEARCH_EVERY, self.redetect_every) if searching else self.redetect_every):
-            self._looked = number
-            faces += self._look(picture, number, seconds)
+        if number - self._searched >= (min(_SEARCH_EVERY, self.redetect_every) if searching else self.redetect_every):
+            self._searched = number
+            faces += self._detect_new(picture, number, seconds)
         faces.sort(key=lambda face: face.id)
-        seen = self.without_faces(number, seconds, frame)
+        empty = self.without_faces(number, seconds, frame)
         if not faces:
-            return seen
+            return empty
         height, width = picture.shape[:2]
         return replace(
-            seen,
+            empty,
             faces=replace(
                 Fits.join([face.fits for face in faces]),
                 names=("",),
@@ -295,7 +296,7 @@ class Tracker:
             if self._taken(square):
                 continue  # by somebody who is known for longer
             confidence = _confidence(fits, row)
-            if confidence is None and track.missed >= min(track.seen + 1, _MISSED_DETECTIONS):
+            if confidence is None and track.missed >= min(track.found + 1, _MISSED_DETECTIONS):
                 self._lost.append(track)
                 continue
             if confidence is not None and confidence < _KEPT:
@@ -306,12 +307,12 @@ class Tracker:
             faces.append(self._face(track, fits[row], square, number, seconds))
         return faces
 
-    def _look(self, picture: np.ndarray, number: int, seconds: float) -> list[_Face]:
+    def _detect_new(self, picture: np.ndarray, number: int, seconds: float) -> list[_Face]:
         """The faces that the detector finds and nobody knew of."""
         found = [(face, self._square_of(face)) for face in self._detect(picture)]
         for track in self._tracks:
-            seen = any(_one_face(track.last.box, square) for _, square in found)
-            track.seen, track.missed = (track.seen + 1, 0) if seen else (track.seen, track.missed + 1)
+            again = any(_one_face(track.last.box, square) for _, square in found)
+            track.found, track.missed = (track.found + 1, 0) if again else (track.found, track.missed + 1)
         new = [(face, sq) for face, sq in found if not any(_one_face(track.last.box, sq) for track in self._tracks)]
         found_boxes, kinds = [face.box for face, _ in new], [face.kind for face, _ in new]
         turns = [face.rotation for face, _ in new]

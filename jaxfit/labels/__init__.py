@@ -2,6 +2,7 @@
 
 from jaxfit.labels.aligned import AlignedHeads, align_labels
 from jaxfit.labels.datasets import FORMATS, convert_dataset, read_dataset
+from jaxfit.labels.gather import LabelledFaces, gather_faces
 from jaxfit.labels.lifting import Lifted, fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord
 
@@ -10,10 +11,12 @@ __all__ = [
     "AlignedHeads",
     "Dataset",
     "FaceRecord",
+    "LabelledFaces",
     "Lifted",
     "align_labels",
     "convert_dataset",
     "fill_labels",
+    "gather_faces",
     "lift_labels",
     "read_dataset",
     "share_labels",

@@ -113,7 +113,7 @@ def seen_points(points: np.ndarray, size: tuple[int, int], orientation: int) -> 
         orientation: of EXIF, from 1 to 8.
     """
     (x, y), (right, bottom) = points.T, (size[0] - 1, size[1] - 1)
-    seen = {
+    places = {
         1: (x, y),
         2: (right - x, y),
         3: (right - x, bottom - y),
@@ -123,4 +123,4 @@ def seen_points(points: np.ndarray, size: tuple[int, int], orientation: int) -> 
         7: (bottom - y, right - x),
         8: (y, right - x),
     }
-    return np.stack(seen[orientation], axis=1)
+    return np.stack(places[orientation], axis=1)

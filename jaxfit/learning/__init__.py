@@ -4,12 +4,13 @@ from jaxfit.learning.choose import Choice, Chosen, choose_options
 from jaxfit.learning.confidence import SampledFits, learn_confidence, sample_fits
 from jaxfit.learning.finetune import Finetuned, finetune
 from jaxfit.learning.methods import METHODS, Method, Options
-from jaxfit.learning.placements import calibrate_boxes
+from jaxfit.learning.placements import Calibrated, calibrate_boxes
 from jaxfit.learning.train import Trained, train
 from jaxfit.processes import join_processes
 
 __all__ = [
     "METHODS",
+    "Calibrated",
     "Choice",
     "Chosen",
     "Finetuned",

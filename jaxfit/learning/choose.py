@@ -5,28 +5,29 @@ error after the last step, one option after the other, and what is given stays u
 than chance.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxfit.cascade.greedy import Progress, SharedAxes
-from jaxfit.data.pictures import GreyPictures
+from jaxfit.cascade.greedy import SharedAxes
+from jaxfit.data.pictures import GreyPictures, Read
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.curves import LIMIT
-from jaxfit.evaluation.evaluate import evaluate, start_boxes
+from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.evaluation.statistics import signed_rank
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options
-from jaxfit.learning.prepare import usable_faces
+from jaxfit.learning.prepare import part_of, usable_faces
 from jaxfit.learning.train import train
 from jaxfit.models.model import Model
 from jaxfit.modes import computing
 from jaxfit.schemes.normalisers import default_normaliser
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress, silent
 
 # What is chosen, in this order: the windows last, as other ones need principal axes of their own.
 OPTIONS = ("ridge", "variance", "spread", "windows")
@@ -104,8 +105,8 @@ def choose_options(
     options: Options = Options(),
     candidates: Mapping[str, Sequence[Any]] | None = None,
     folds: int = 3,
-    progress: Progress = lambda stage, done, total: None,
-    read: Callable[[Path], np.ndarray] | None = None,
+    progress: Progress = silent,
+    read: Read | None = None,
 ) -> Chosen:
     """Choose ridge, variance, spread and windows, one after the other, by the errors that cascades leave in the end on
     people that they did not learn from.
@@ -140,17 +141,13 @@ def choose_options(
 
     def errors_of(setting: Options, fold: int, about: str) -> np.ndarray:
         """The error of each face that is kept aside, the mean of those from several boxes."""
-
-        def told(stage: str, done: int, total: int) -> None:
-            progress(f"{about}, fold {fold + 1}/{folds}: {stage}", done, total)
-
         learned = [face for face, part in zip(usable, parts, strict=True) if part != fold]
-        seen = [usable[row] for row in kept_aside[fold]]
-        how: dict[str, Any] = {"progress": told, "read": read}
+        tested = [usable[row] for row in kept_aside[fold]]
+        how: dict[str, Any] = {"progress": part_of(progress, f"{about}, fold {fold + 1}/{folds}"), "read": read}
         model = train(learned, scheme, method=method, options=setting, axes=shared[fold], **how).model
-        boxes = np.concatenate([start_boxes(seen, seed + number) for number in range(_BOXES)])
+        boxes = np.concatenate([start_boxes(tested, seed + number) for number in range(_BOXES)])
         relative = default_normaliser(scheme)
-        errors = evaluate(model, seen * _BOXES, boxes, normaliser=relative, starts=setting.starts, **how).errors
+        errors = evaluate(model, tested * _BOXES, boxes, normaliser=relative, starts=setting.starts, **how).errors
         return np.minimum(errors, LIMIT).reshape(_BOXES, -1).mean(0)
 
     best = given.but(detectors=False, augmentations=min(given.greedy.augmentations, _AUGMENTATIONS))

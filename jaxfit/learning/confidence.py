@@ -4,14 +4,12 @@ On the faces that a cascade was trained on its fits are too good to learn from. 
 some of the people each, fit the others, and the confidence learns from those fits.
 """
 
-import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import jax
 import numpy as np
 import scipy
@@ -21,43 +19,26 @@ from jaxtyping import Array, Float
 
 from jaxfit.cascade.confidence import Clues, Confidence
 from jaxfit.cascade.fit import find_clues
-from jaxfit.cascade.greedy import Progress
 from jaxfit.cascade.regression import Projection, principal_axes
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.boxes import bounding_square, box_centre, jitter
-from jaxfit.data.crops import Crops, cut
-from jaxfit.data.detectors.detector import overlap
-from jaxfit.data.pictures import GreyPictures, to_grey
-from jaxfit.errors import ImageError, InputError
+from jaxfit.data.pictures import GreyPictures, Read
+from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, bundled_head_models
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.draw_starts import DETECTED, DrawnStarts, draw_starts
 from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
-from jaxfit.learning.prepare import SILENT
+from jaxfit.learning.prepare import part_of
 from jaxfit.learning.train import train
 from jaxfit.models.digests import union
-from jaxfit.models.model import SQUARE, Model
+from jaxfit.models.model import Model
 from jaxfit.modes import computing, mixing_types
 from jaxfit.processes import require_alone
-from jaxfit.schemes.scheme import mirrored
+from jaxfit.types import Progress, silent
 
-# How fits may begin. Boxes like a detector's are what a confidence is mostly for.
-DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN = (
-    "detected",
-    "lost",
-    "elsewhere",
-    "part",
-    "upside down",
-    "pattern",
-)
-NO_FACES = (ELSEWHERE, PART, PATTERN)
-_OF_EACH_FACE = (DETECTED, DETECTED, DETECTED, LOST, ELSEWHERE, PART, UPSIDE_DOWN, PATTERN)
-
-_APART = 0.15  # overlap (IoU) with the face below which a box is elsewhere
-_TRIES = 50  # to find such a box: where a face fills its picture there is none
 _BATCH = 64
 _PASSES = (1, 2)  # of the cascade: the second moves less, however good it is
 _PCA_SAMPLES = 3072
@@ -66,8 +47,6 @@ _VARIANCE = 0.9
 _HIDDEN = 32
 # Of the network's training.
 _EPOCHS, _AT_ONCE, _RATE, _DECAY = 30, 256, 2e-3, 0.3
-
-_Read = Callable[[Path], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -82,6 +61,7 @@ class SampledFits:
         faces: (N,) the number of each fit's face among those given.
         passes: (N,) how often the cascade was run: each start is fitted in one pass, and again in two.
         confidence: (N,) what the model says of each fit; NaN if it has no confidence.
+        problems: which pictures could not be read and why, a sentence each.
     """
 
     errors: np.ndarray
@@ -89,6 +69,7 @@ class SampledFits:
     faces: np.ndarray
     passes: np.ndarray
     confidence: np.ndarray
+    problems: tuple[str, ...] = ()
 
     @property
     def good(self) -> np.ndarray:
@@ -105,8 +86,8 @@ def learn_confidence(
     folds: int = 3,
     seed: int = 0,
     head_model: str | Path | None = None,
-    read: _Read | None = None,
-    progress: Progress = SILENT,
+    read: Read | None = None,
+    progress: Progress = silent,
 ) -> Model:
     """The model with a confidence: the probability that a fit is good, its NMED (`default_normaliser`) below 0.08.
 
@@ -136,24 +117,26 @@ def learn_confidence(
     people = [face.subject for face in faces] if subjects is None else list(subjects)
     parts = split_by_subject(people, folds, seed)
     projection: Projection | None = None
-    seen: list[_Seen] = []
+    samples: list[_Samples] = []
     pictures = model.learned
     for fold in range(folds):
-        told = partial(_told, progress, f"fold {fold + 1}/{folds}: ")
+        report = part_of(progress, f"fold {fold + 1}/{folds}")
         learned = [face for face, part in zip(faces, parts, strict=True) if part != fold]
         tested = [face for face, part in zip(faces, parts, strict=True) if part == fold]
-        trained = train(learned, model.scheme, method=method, options=options, progress=told, read=read).model
+        trained = train(learned, model.scheme, method=method, options=options, progress=report, read=read).model
         trained = retuned(
-            trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=told, read=read
+            trained, model, learned, head_model=head_model or DEFAULT_HEAD_MODEL, progress=report, read=read
         )
         pictures = union(pictures, trained.learned)
-        drawn = _drawn(trained, tested, seed, read, told)
+        drawn, _ = draw_starts(
+            trained, tested, seed, read, report
+        )  # whoever trained the model knows what cannot be read
         # All folds see with the same descriptors: axes of the first will do for all.
         projection = projection or _axes(trained, drawn, seed)
-        sampled, clues = _fitted(trained, drawn, _Project(projection), told)
-        seen.append(_Seen(clues, sampled.good, sampled.starts))
+        sampled, clues = _fitted(trained, drawn, _Project(projection), report)
+        samples.append(_Samples(clues, sampled.good, sampled.starts))
     progress("learning how likely fits are good", 0, 1)
-    confidence = _learned(seen, projection, seed) if projection else None
+    confidence = _learned(samples, projection, seed) if projection else None
     progress("learning how likely fits are good", 1, 1)
     return replace(model, confidence=confidence, learned=pictures)
 
@@ -164,15 +147,16 @@ def sample_fits(
     faces: Sequence[FaceRecord],
     *,
     seed: int = 0,
-    read: _Read | None = None,
-    progress: Progress = SILENT,
+    read: Read | None = None,
+    progress: Progress = silent,
 ) -> SampledFits:
     """Fits of labelled faces from good and bad starts, and of what is no face; what the model says of them, and how
     good they are.
 
     Args:
         model: a model.
-        faces: labelled faces; those with missing landmarks, or whose pictures cannot be read, are left out.
+        faces: labelled faces; those with missing landmarks are left out, and those whose pictures cannot be read,
+            which are reported.
         seed: of the starts; a face has the same whatever other faces come with it.
         read: as in `learn_confidence`, like the next.
         progress: called with a stage's name, what is done and what there is to do.
@@ -181,9 +165,9 @@ def sample_fits(
         InputError: labels of another number of landmarks, or none that can be used.
     """
     confidence = model.confidence
-    drawn = _drawn(model, faces, seed, read or GreyPictures(), progress)
-    sampled, told = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
-    return replace(sampled, confidence=told.astype(np.float64))
+    drawn, problems = draw_starts(model, faces, seed, read or GreyPictures(), progress)
+    sampled, said = _fitted(model, drawn, _Nothing() if confidence is None else confidence, progress)
+    return replace(sampled, confidence=said.astype(np.float64), problems=problems)
 
 
 def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str, Options]:
@@ -197,33 +181,24 @@ def training_of(model: Model, head_model: str | Path | None = None) -> tuple[str
     Raises:
         InputError: it does not say how, or it was trained with another head model.
     """
-    made: dict[str, Any] = {
+    settings: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in model.training.items()
     }
-    if made.get("method") not in METHODS or "windows" not in made:
+    if settings.get("method") not in METHODS or "windows" not in settings:
         raise InputError(f"expected a model that says how it was trained, as jaxfit.train makes; got {model.training}")
-    known = {name: made[name] for name in Options().flat() if name in made}
-    if "head" in made:
-        given = Path(head_model or made["head"]).name
-        if given != made["head"] or (head_model is None and given not in bundled_head_models()):
+    known = {name: settings[name] for name in Options().flat() if name in settings}
+    if "head" in settings:
+        given = Path(head_model or settings["head"]).name
+        if given != settings["head"] or (head_model is None and given not in bundled_head_models()):
             got = "none was given" if head_model is None else f"got {head_model}"
-            raise InputError(f"expected the 3D head model {made['head']}, which the model was trained with; {got}")
+            raise InputError(f"expected the 3D head model {settings['head']}, which the model was trained with; {got}")
         known["head_model"] = str(head_model or given)
     descriptor, frame = model.cascade.descriptor, model.cascade.frame
     known |= {"starts": model.starts, "detectors": False, "descriptor": descriptor, "frame": frame}
-    return made["method"], Options().but(**known)
+    return settings["method"], Options().but(**known)
 
 
-class _Drawn(NamedTuple):
-    """What N fits begin with: `SampledFits`, and the crops (N) and true landmarks (N, L, 2) in their pixels."""
-
-    crops: np.ndarray
-    truth: np.ndarray
-    starts: np.ndarray
-    faces: np.ndarray
-
-
-class _Seen(NamedTuple):
+class _Samples(NamedTuple):
     """The clues (N, …) of N fits, reduced to principal components and moves, which are good, and how each began."""
 
     clues: np.ndarray
@@ -262,93 +237,6 @@ class _Features:
 jax.tree_util.register_static(_Features)
 
 
-def _told(progress: Progress, before: str, stage: str, done: int, total: int) -> None:
-    progress(before + stage, done, total)
-
-
-def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: _Read, progress: Progress) -> _Drawn:
-    """Starts of each kind for all faces that are complete and can be read."""
-    if other := next((face for face in faces if len(face.landmarks) != model.scheme.count), None):
-        raise InputError(f"expected faces of {model.scheme.count} landmarks, as the model's; {other.image} has others")
-    frame, placement = model.cascade.frame, model.placement(SQUARE)
-    crops, truths, starts, numbers = [], [], [], []
-    crop = Crops.empty(1, frame)
-    for number, face in enumerate(faces):
-        progress("drawing starts", number, len(faces))
-        if not face.complete:
-            continue
-        try:
-            upright = to_grey(read(face.image))
-        except ImageError:
-            continue
-        rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
-        for start in _OF_EACH_FACE:
-            picture, points = upright, face.landmarks
-            height, width = picture.shape
-            if model.scheme.mirror is not None and rng.random() < 0.5:
-                picture, points = picture[:, ::-1], mirrored(points, width, model.scheme)
-            if start == UPSIDE_DOWN:
-                picture, points = picture[::-1, ::-1], np.array([width - 1, height - 1]) - points
-            if start == PATTERN:
-                pixels, points = _pattern(rng, frame.crop), np.full_like(points, np.nan)
-            else:
-                box = _box(start, bounding_square(points), picture.shape, rng)
-                if box is None:
-                    continue
-                cut(picture, *placement.face_in(box), crop, 0)
-                pixels, points = crop.pixels[0].copy(), crop.from_images(points[None])[0]
-            crops.append(pixels)
-            truths.append(points)
-            starts.append(start)
-            numbers.append(number)
-    progress("drawing starts", len(faces), len(faces))
-    if not crops:
-        raise InputError("expected a face with all landmarks and a picture that can be read; got none")
-    return _Drawn(np.stack(crops), np.stack(truths), np.array(starts), np.array(numbers))
-
-
-def _box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:
-    """A box (4,) of this kind, for a face in this square (4,) of a picture (H, W); None: there is none."""
-    if start in (DETECTED, UPSIDE_DOWN):
-        return jitter(square, rng, rng.uniform(0.06, 0.15), rng.uniform(0.08, 0.2))
-    side = square[2]
-    if start == LOST:
-        return _around(
-            box_centre(square) + side * rng.uniform(-0.5, 0.5, 2), side * np.exp(rng.uniform(-1, 1) * np.log(2))
-        )
-    if start == PART:
-        small = side * rng.uniform(0.15, 0.4)
-        return np.array([*(square[:2] + rng.uniform(0, side - small, 2)), small, small])
-    for _ in range(_TRIES):
-        box = _around(rng.uniform((0, 0), shape[1::-1]), side * np.exp(rng.uniform(np.log(0.4), np.log(1.5))))
-        if overlap(box, square) < _APART:
-            return box
-    return None
-
-
-def _around(centre: np.ndarray, side: float) -> np.ndarray:
-    return np.array([*(centre - side / 2), side, side])
-
-
-def _pattern(rng: np.random.Generator, side: int) -> np.ndarray:
-    """A picture (side, side), uint8, of nothing: plain, a slope, stripes, or noise, coarse or fine."""
-    y, x = np.mgrid[:side, :side] / side
-    angle = rng.uniform(0, 2 * np.pi)
-    along = x * np.cos(angle) + y * np.sin(angle)
-    kind = rng.choice(["plain", "slope", "stripes", "noise"])
-    picture: np.ndarray
-    if kind == "noise":
-        coarseness = side * np.exp(rng.uniform(np.log(0.002), np.log(0.15)))
-        picture = np.asarray(cv2.GaussianBlur(rng.normal(size=(side, side)), (0, 0), coarseness), np.float64)
-    elif kind == "stripes":
-        picture = np.sin(2 * np.pi * (along * np.exp(rng.uniform(np.log(1), np.log(20))) + rng.random()))
-    else:
-        picture = along if kind == "slope" else np.zeros_like(x)
-    contrast = rng.uniform(10, 70) / max(float(picture.std()), 1e-6)
-    grain = rng.normal(0, rng.choice([0, 2, 8]), picture.shape)
-    return (rng.uniform(40, 210) + contrast * (picture - picture.mean()) + grain).clip(0, 255).astype(np.uint8)
-
-
 @partial(jax.jit, static_argnames="passes")
 def _tried(
     model: tuple[Any, Any], crops: Array, turns: Array, passes: int
@@ -359,7 +247,7 @@ def _tried(
 
 
 def _fitted(
-    model: Model, drawn: _Drawn, of_clues: Any, progress: Progress, often: Sequence[int] = _PASSES
+    model: Model, drawn: DrawnStarts, of_clues: Any, progress: Progress, often: Sequence[int] = _PASSES
 ) -> tuple[SampledFits, np.ndarray]:
     """Fits of what was drawn, in so many passes each, and what ``of_clues`` makes of each fit's clues; models that are
     made for several starts fit from one and from several."""
@@ -367,7 +255,7 @@ def _fitted(
     turns = [starts.rotations for starts in kinds]
     ways = [(turn, passes) for turn in turns for passes in often]
     count = len(drawn.crops)
-    landmarks, made = [], []
+    landmarks, kept = [], []
     for way in ways:
         for first in range(0, count, _BATCH):
             progress("fitting", first, count)
@@ -375,21 +263,21 @@ def _fitted(
             left = min(_BATCH, count - first)
             found = _tried((model.cascade, of_clues), drawn.crops[rows], *way)
             landmarks.append(np.asarray(found[0])[:left])
-            made.append(np.asarray(found[1])[:left])
+            kept.append(np.asarray(found[1])[:left])
     progress("fitting", count, count)
     truth, starts, faces = (np.concatenate([part] * len(ways)) for part in drawn[1:])
     # Where there is no truth nothing can be measured: no face.
     measured = nmed(np.concatenate(landmarks), truth, model.scheme)
     errors = np.where(np.isnan(measured), np.inf, measured)
     passes = np.repeat([passes for _, passes in ways], count)
-    return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(made)
+    return SampledFits(errors, starts, faces, passes, np.full(len(errors), np.nan)), np.concatenate(kept)
 
 
-def _axes(model: Model, drawn: _Drawn, seed: int) -> Projection:
+def _axes(model: Model, drawn: DrawnStarts, seed: int) -> Projection:
     """Principal axes of the descriptors of some fits."""
     chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_PCA_SAMPLES]
-    some = _Drawn(*(part[chosen] for part in drawn))
-    _, features = _fitted(model, some, _Features(), SILENT, _PASSES[:1])
+    some = DrawnStarts(*(part[chosen] for part in drawn))
+    _, features = _fitted(model, some, _Features(), silent, _PASSES[:1])
     found = principal_axes(jnp.asarray(features[:_PCA_SAMPLES]), _VARIANCE)
     return Projection(found.mean, found.axes[:, :_MOST_AXES])
 
@@ -407,11 +295,11 @@ class _Network(NamedTuple):
         return jnp.tanh(inputs @ self.weights + self.biases) @ self.output + self.offset
 
 
-def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confidence:
+def _learned(samples: Sequence[_Samples], projection: Projection, seed: int) -> Confidence:
     """The confidence learned from the fits of several folds: learned from all, and calibrated on those of detected
     faces in each, by a network that learned from the others."""
-    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(seen)])
-    clues, good, starts = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    folds = np.concatenate([np.full(len(fold.good), number) for number, fold in enumerate(samples)])
+    clues, good, starts = (np.concatenate(parts) for parts in zip(*samples, strict=True))
     finite = np.isfinite(clues).all(1)  # what diverges is no fit
     clues, good, starts, folds = clues[finite], good[finite], starts[finite], folds[finite]
     detected = starts == DETECTED
@@ -423,7 +311,7 @@ def _learned(seen: Sequence[_Seen], projection: Projection, seed: int) -> Confid
     mean, deviation = clues.mean(0), clues.std(0) + 1e-6
     inputs = ((clues - mean) / deviation).astype(np.float32)
     logits = np.zeros(len(good))
-    for fold in range(len(seen)):
+    for fold in range(len(samples)):
         held_out = folds == fold
         logits[held_out] = _trained(inputs[~held_out], good[~held_out], seed)(jnp.asarray(inputs[held_out]))
     # What confidences are mostly asked for: among all fits, the easy ones would outvote the doubtful.

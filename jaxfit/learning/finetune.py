@@ -1,7 +1,7 @@
 """Fine-tuning a model on labelled faces: pictures to crops, people kept aside, then the whole cascade at once."""
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -11,22 +11,23 @@ import numpy as np
 from jax import numpy as jnp
 from safetensors.numpy import load as parse_tensors
 
-from jaxfit.cascade.greedy import Progress, TrainingSet
+from jaxfit.cascade.greedy import TrainingSet
 from jaxfit.cascade.tuning import Progressed, Tuning, finetune_cascade
 from jaxfit.data.boxes import bounding_square
-from jaxfit.data.pictures import read_grey
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError, ModelError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.image.disturb import Disturbance
 from jaxfit.labels.lifting import Lifted, fill_labels
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
 from jaxfit.models.digests import digest_set, union
 from jaxfit.models.files import DAMAGE, read_header, tensors_of, write_tensors
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.modes import computing
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import Scheme, mirror_order
+from jaxfit.types import Progress, silent
 
 _CHECKPOINT = "jaxfit-finetuning"
 _FORMAT = 2
@@ -60,13 +61,13 @@ def finetune(
     mirror: bool = True,
     head_model: str | Path = DEFAULT_HEAD_MODEL,
     checkpoint: str | Path | None = None,
-    progress: Progress = SILENT,
-    read: Callable[[Path], np.ndarray] = read_grey,
+    progress: Progress = silent,
+    read: Read = read_grey,
 ) -> Finetuned:
     """Tune all steps of a trained model together, by stochastic gradients of the error that they leave in the end.
 
-    Faces with missing landmarks teach those that they have. Where such a face lies is told by a 3D head model, which
-    must have the model's landmarks; those that it does not explain are left out and reported, like unreadable pictures.
+    Faces with missing landmarks teach those that they have. A 3D head model, which must have the model's landmarks,
+    says where such a face lies; faces that it does not explain are left out and reported, like unreadable pictures.
     Starts are drawn as in training: turned, too, if the model was made for several initialisations.
 
     Args:
@@ -85,14 +86,8 @@ def finetune(
             that cannot be mirrored, fits that run away, a checkpoint of something else, or several processes.
         ModelError: a damaged checkpoint, or no such head model.
     """
-    require_alone("fine-tuning")
+    _require_tunable(model, faces, validation, mirror)
     scheme = model.scheme
-    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
-        raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
-    if not 0 <= validation < 1:
-        raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
-    if mirror:
-        mirror_order(scheme)
     placed, problems = _placed(faces, scheme, head_model)
     usable, flat = usable_faces([face for face, _ in placed], scheme)
     problems += flat
@@ -128,8 +123,8 @@ def finetune(
         keep=kept.write if kept else lambda progressed: None,
         resume=kept.read if kept else lambda begun: begun,
     )
-    made = {"faces": int((~aside).sum()), "validation": validation, "mirror": mirror, **asdict(tuning)}
-    training = model.training | {"finetuned": made}
+    settings = {"faces": int((~aside).sum()), "validation": validation, "mirror": mirror, **asdict(tuning)}
+    training = model.training | {"finetuned": settings}
     return Finetuned(
         replace(
             model,
@@ -144,6 +139,23 @@ def finetune(
     )
 
 
+def _require_tunable(model: Model, faces: Sequence[FaceRecord], validation: float, mirror: bool) -> None:
+    """Check, before the work, what `finetune` asks for.
+
+    Raises:
+        InputError: several processes, labels of another number of landmarks, a share out of range, or landmarks that
+            cannot be mirrored.
+    """
+    require_alone("fine-tuning")
+    scheme = model.scheme
+    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
+        raise InputError(f"expected labels of {scheme.count} landmarks, as the model's; {other.image} has others")
+    if not 0 <= validation < 1:
+        raise InputError(f"expected a share of people to keep aside, 0 <= validation < 1; got {validation}")
+    if mirror:
+        mirror_order(scheme)
+
+
 def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) -> Model:
     """A model that was trained like another, fine-tuned as that one was, if it was.
 
@@ -155,17 +167,17 @@ def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) 
     Raises:
         InputError: as `finetune` does, or if the other does not say how it was fine-tuned.
     """
-    if (made := like.training.get("finetuned")) is None:
+    if (settings := like.training.get("finetuned")) is None:
         return model
     try:
-        known = {option.name: made[option.name] for option in fields(Tuning)}
+        known = {option.name: settings[option.name] for option in fields(Tuning)}
         tuning = Tuning(**known | {"disturbance": Disturbance(**known["disturbance"])})
-        told = {"tuning": tuning, "validation": made["validation"], "mirror": made["mirror"]}
+        how_tuned = {"tuning": tuning, "validation": settings["validation"], "mirror": settings["mirror"]}
     except (LookupError, TypeError) as error:
         raise InputError(
             f"expected a model that says how it was fine-tuned, as jaxfit.finetune makes ({error})"
         ) from None
-    return finetune(model, faces, **told, **how).model
+    return finetune(model, faces, **how_tuned, **how).model
 
 
 def _placed(

@@ -1,7 +1,7 @@
 """How faces lie in a new kind of box, measured on pictures with such boxes: no landmarks are needed."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,8 @@ import numpy as np
 from jaxfit.data.detectors import best_match, detect_faces
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
-from jaxfit.evaluation.evaluate import Evaluation, evaluate, start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.evaluation.evaluate import Evaluation, evaluate
 from jaxfit.fitting.fit import fit
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.files import load
@@ -17,6 +18,7 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
 from jaxfit.modes import computing
 from jaxfit.schemes.known import IBUG68, NO_LANDMARKS
+from jaxfit.types import Progress, silent
 
 _DETECTOR = "haar-frontal"
 # Measures the boxes of datasets without landmarks, and what models it can tell them to.
@@ -26,12 +28,27 @@ _FEWEST = 10
 _FRONTAL = 15
 
 
+@dataclass(frozen=True)
+class Calibrated:
+    """What the calibration of boxes gives.
+
+    Attributes:
+        placement: how faces lie in the boxes.
+        faces: number of faces that it was measured on.
+        problems: which pictures could not be read and why, a sentence each.
+    """
+
+    placement: Placement
+    faces: int
+    problems: tuple[str, ...]
+
+
 @computing
 def calibrate_boxes(
     model: Model,
     faces: Sequence[FaceRecord],
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
-) -> Placement:
+    progress: Progress = silent,
+) -> Calibrated:
     """How faces lie in the boxes of ``faces``, for ``model.placements`` under a name of yours.
 
     Faces that OpenCV's frontal detector finds in their boxes are fitted from its boxes, which the model knows; the fits
@@ -47,7 +64,8 @@ def calibrate_boxes(
     """
     if not any(face.box is not None for face in faces):
         raise InputError("expected faces with boxes, to learn how faces lie in them; got none")
-    return _placement(model, list(_fitted_in_boxes(model, faces, progress).values()))
+    fitted, problems = _fitted_in_boxes(model, faces, progress)
+    return Calibrated(_placement(model, list(fitted.values())), len(fitted), problems)
 
 
 class _Fitted(NamedTuple):
@@ -58,18 +76,20 @@ class _Fitted(NamedTuple):
 
 
 def _fitted_in_boxes(
-    model: Model, faces: Sequence[FaceRecord], progress: Callable[[str, int, int], None]
-) -> dict[int, _Fitted]:
-    """By number, the faces that the detector finds in their boxes, fitted."""
+    model: Model, faces: Sequence[FaceRecord], progress: Progress
+) -> tuple[dict[int, _Fitted], tuple[str, ...]]:
+    """By number, the faces that the detector finds in their boxes, fitted; and what could not be read and why."""
     model.placement(_DETECTOR)
     numbers, found, pictures = [], [], []
+    problems: list[str] = []
     for number, face in enumerate(faces):
         progress("looking for faces in their boxes", number, len(faces))
         if face.box is None:
             continue
         try:
             grey = read_grey(face.image)
-        except ImageError:
+        except ImageError as error:
+            problems.append(str(error))
             continue
         match = best_match(detect_faces(grey, "haar"), face.box)
         if match is not None and match.kind == _DETECTOR:
@@ -78,11 +98,12 @@ def _fitted_in_boxes(
             pictures.append(grey)
     progress("looking for faces in their boxes", len(faces), len(faces))
     fits = fit(model, pictures, np.array(found).reshape(-1, 4), kind=_DETECTOR)
-    return {
+    fitted = {
         number: _Fitted(np.asarray(faces[number].box), landmarks)
         for number, landmarks, ok in zip(numbers, fits.landmarks, fits.ok, strict=True)
         if ok
     }
+    return fitted, tuple(dict.fromkeys(problems))  # a picture of several faces has one
 
 
 def _placement(model: Model, fitted: Sequence[_Fitted]) -> Placement:
@@ -109,7 +130,7 @@ def evaluate_in_own_boxes(
     models: Mapping[str, Model],
     faces: Sequence[FaceRecord],
     calibrator: Model,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models from the boxes of a dataset that none of them knows, learning nothing from who is tested.
 
@@ -136,7 +157,7 @@ def evaluate_in_own_boxes(
         raise InputError("expected faces of two subjects or more: each one's boxes are measured on the others")
     parts: dict[str, list[Evaluation]] = {name: [] for name in models}
     ahead = [face for face in faces if frontal(face)]
-    fitted = _fitted_in_boxes(calibrator, ahead, progress)
+    fitted, _ = _fitted_in_boxes(calibrator, ahead, progress)  # what cannot be read is reported where it is tested
     for subject in subjects:
         tested = [face for face in faces if face.subject == subject]
         placement = _placement(calibrator, [fits for n, fits in fitted.items() if ahead[n].subject != subject])
@@ -151,7 +172,7 @@ def evaluate_pose(
     models: Mapping[str, Model],
     dataset: Dataset,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models of 3D methods on faces with labelled poses: from the labels' squares, or, without landmarks,
     from the dataset's own boxes as `evaluate_in_own_boxes` does.

@@ -5,20 +5,25 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cascade.greedy import Progress, TrainingSet
+from jaxfit.cascade.greedy import TrainingSet
 from jaxfit.data.boxes import box_centre
 from jaxfit.data.crops import Crops, cut
-from jaxfit.data.pictures import to_grey
+from jaxfit.data.pictures import Read, to_grey
 from jaxfit.errors import ImageError
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.digests import picture_digest
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.scheme import Scheme, mirrored
+from jaxfit.types import Progress
 
-SILENT: Progress = lambda stage, done, total: None  # noqa: E731
 # Width to length of a face below which it is a line, and above which faces usually are none.
 _FLAT, _WIDE = 0.01, 0.1
+
+
+def part_of(progress: Progress, part: str) -> Progress:
+    """Progress within a part of some work, which is named before each of its stages."""
+    return lambda stage, done, total: progress(f"{part}: {stage}", done, total)
 
 
 def usable_faces(faces: Sequence[FaceRecord], scheme: Scheme) -> tuple[list[FaceRecord], list[str]]:
@@ -52,7 +57,7 @@ def cut_labelled(
     squares: np.ndarray,
     placement: Placement,
     frame: Frame,
-    read: Callable[[Path], np.ndarray],
+    read: Read,
     progress: Progress,
     look: Callable[[int, np.ndarray], None] = lambda number, grey: None,
 ) -> tuple[Crops, np.ndarray, list[str], list[int]]:

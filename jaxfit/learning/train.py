@@ -1,6 +1,6 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +9,15 @@ import jax
 import numpy as np
 
 from jaxfit import __version__
-from jaxfit.cascade.greedy import Progress, SharedAxes, train_cascade
+from jaxfit.cascade.greedy import SharedAxes, train_cascade
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.detectors import best_match, detector_named
-from jaxfit.data.pictures import read_grey
+from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options, camera_asm, method_named, view_of
-from jaxfit.learning.prepare import SILENT, cut_labelled, training_set, usable_faces
+from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
 from jaxfit.models.digests import digest_set
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.models.placements import Placement, measure_placement
@@ -25,6 +25,7 @@ from jaxfit.modes import computing
 from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.schemes.scheme import Scheme, mirror_order
 from jaxfit.shapes.points import mean_face
+from jaxfit.types import Progress, silent
 
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
@@ -56,8 +57,8 @@ def train(
     *,
     method: str = "sdm",
     options: Options = Options(),
-    progress: Progress = SILENT,
-    read: Callable[[Path], np.ndarray] = read_grey,
+    progress: Progress = silent,
+    read: Read = read_grey,
     axes: SharedAxes | None = None,
 ) -> Trained:
     """Train a model on labelled faces; those with missing landmarks or unreadable pictures are left out and reported.
@@ -83,21 +84,7 @@ def train(
         ProcessError: another of the processes ended.
     """
     kind, seed = method_named(method), options.greedy.seed
-    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
-        raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
-    if scheme.count == 0:
-        raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
-    if scheme.count < kind.fewest:
-        raise InputError(
-            f"expected at least {kind.fewest} landmarks for the method {method!r}, which has to learn size and shape "
-            f"from them; {scheme.name} has {scheme.count}: label more, or take another method"
-        )
-    complete, problems = usable_faces(faces, scheme)
-    if len(complete) < 2:
-        raise InputError(
-            f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)} of {len(faces)}: "
-            f"{'; '.join(problems[:3])}"
-        )
+    complete, problems = _learnable(faces, scheme, method)
     descriptor, frame = view_of(method, options)
     if options.mirror:
         mirror_order(scheme)
@@ -112,20 +99,20 @@ def train(
     jittered = np.stack([jitter(square, rng) for square in squares])
     placement = measure_placement(jittered, landmarks, mean, frame.face)
 
-    mine = share_of([face.image for face in complete])
+    share = share_of([face.image for face in complete])
     detected: list[_Detected] = []
     every = max(1, len(complete) // _DETECTED_FACES)
     detectors = [detector_named(name) for name in _DETECTORS] if options.detectors else []
 
     def look(row: int, grey: np.ndarray) -> None:
-        number = int(mine[row])
+        number = int(share[row])
         for detector in detectors if number % every == 0 else ():
             if match := best_match(detector(grey), squares[number]):
                 detected.append((number, match.kind, match.box.tolist(), match.rotation))
 
-    own = [complete[number] for number in mine]
-    crops, rows, why, digests = cut_labelled(own, squares[mine], placement, frame, read, progress, look)
-    unread = list(zip(np.setdiff1d(mine, mine[rows]).tolist(), why, strict=True))
+    own = [complete[number] for number in share]
+    crops, rows, why, digests = cut_labelled(own, squares[share], placement, frame, read, progress, look)
+    unread = list(zip(np.setdiff1d(share, share[rows]).tolist(), why, strict=True))
     parts = exchanged([unread, detected, len(rows), digests])
     problems += [why for _, why in sorted(each for part in parts for each in part[0])]
     readable = np.setdiff1d(np.arange(len(complete)), [number for part in parts for number, _ in part[0]])
@@ -133,10 +120,10 @@ def train(
         raise InputError(f"expected at least two readable pictures; got {len(readable)}: {'; '.join(problems[:3])}")
     if idle := [process for process, part in enumerate(parts) if part[2] == 0]:
         raise InputError(f"expected readable pictures for each process, but {idle} have none: use fewer processes")
-    numbers, count = np.searchsorted(readable, mine[rows]), len(readable)
+    numbers, count = np.searchsorted(readable, share[rows]), len(readable)
     if options.mirror:
         numbers, count = np.concatenate([numbers, numbers + count]), 2 * count
-    learned = training_set(crops, landmarks[mine], squares[mine], rows, scheme if options.mirror else None)
+    learned = training_set(crops, landmarks[share], squares[share], rows, scheme if options.mirror else None)
     space = kind.learn_space(relative[readable], scheme, options, frame.face)
     space = jax.tree.unflatten(jax.tree.structure(space), by_first(lambda: space))
     cascade = train_cascade(
@@ -165,6 +152,31 @@ def train(
     )
 
 
+def _learnable(faces: Sequence[FaceRecord], scheme: Scheme, method: str) -> tuple[list[FaceRecord], list[str]]:
+    """The faces that can be learned from, and what is wrong with the others.
+
+    Raises:
+        InputError: faces of another number of landmarks, too few landmarks for the method, or too few faces.
+    """
+    fewest = method_named(method).fewest
+    if other := next((face for face in faces if len(face.landmarks) != scheme.count), None):
+        raise InputError(f"expected faces of {scheme.count} landmarks ({scheme.name}); {other.image} has others")
+    if scheme.count == 0:
+        raise InputError("expected faces with landmarks to learn from; these have none, such as Pointing'04's")
+    if scheme.count < fewest:
+        raise InputError(
+            f"expected at least {fewest} landmarks for the method {method!r}, which has to learn size and shape "
+            f"from them; {scheme.name} has {scheme.count}: label more, or take another method"
+        )
+    complete, problems = usable_faces(faces, scheme)
+    if len(complete) < 2:
+        raise InputError(
+            f"expected at least two faces with all {scheme.count} landmarks; got {len(complete)} of {len(faces)}: "
+            f"{'; '.join(problems[:3])}"
+        )
+    return complete, problems
+
+
 def _detected_placements(
     detected: Sequence[_Detected], landmarks: np.ndarray, mean: np.ndarray, face: float
 ) -> dict[str, Placement]:
@@ -181,11 +193,11 @@ def _detected_placements(
 def _summary(method: str, options: Options, faces: int) -> dict[str, Any]:
     """What a model file says about its making; plain JSON values."""
     greedy, starts = options.greedy, options.starts
-    told: dict[str, Any] = vars(greedy) | {"windows": list(greedy.windows)}
-    told |= {"initialisations": starts.count, "rotations": [starts.low, starts.high]}
-    told |= {"shape_variance": options.shape_variance, "sigmas": options.sigmas, "mirror": options.mirror}
+    summary: dict[str, Any] = vars(greedy) | {"windows": list(greedy.windows)}
+    summary |= {"initialisations": starts.count, "rotations": [starts.low, starts.high]}
+    summary |= {"shape_variance": options.shape_variance, "sigmas": options.sigmas, "mirror": options.mirror}
     if method_named(method).in_3d:
         # Not the path of a file: where it lay is nobody else's business.
         head_model = load_head_model(options.head_model)
-        told |= {"head": Path(options.head_model).name, "head_source": head_model.source}
-    return {"jaxfit": __version__, "method": method, "faces": faces, **told}
+        summary |= {"head": Path(options.head_model).name, "head_source": head_model.source}
+    return {"jaxfit": __version__, "method": method, "faces": faces, **summary}

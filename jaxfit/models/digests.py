@@ -1,12 +1,12 @@
 """Digests of pictures: they show what a model learned from, whatever a picture's file is called by then."""
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.pictures import to_grey
+from jaxfit.data.pictures import Read, to_grey
 from jaxfit.errors import ImageError
 
 _BYTES = 8  # that any two of a million pictures share a digest has a chance of 1 in 37 million
@@ -43,7 +43,7 @@ class DigestingReader:
         read: gets a picture's path and returns it, uint8; it may be called in threads.
     """
 
-    def __init__(self, read: Callable[[Path], np.ndarray]):
+    def __init__(self, read: Read):
         self._read = read
         self._digests: dict[Path, int] = {}
 

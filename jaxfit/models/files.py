@@ -179,10 +179,10 @@ def read_named(name: str | Path, package: str, kind: str) -> bytes:
         ) from None
 
 
-def read_header(data: bytes, key: str, version: int, kind: str, made: str = "train") -> dict[str, Any]:
+def read_header(data: bytes, key: str, version: int, kind: str, remedy: str = "train") -> dict[str, Any]:
     """The header under ``key`` of a file's bytes, if its format is ``version``.
 
-    ``kind`` is for the message, and so is ``made``: what to do again to have a new one.
+    ``kind`` is for the message, and so is ``remedy``: the verb of what makes a new one.
 
     Raises:
         ModelError: there is no such header, or it has another version. Damaged bytes may raise any of ``DAMAGE``.
@@ -195,7 +195,7 @@ def read_header(data: bytes, key: str, version: int, kind: str, made: str = "tra
     if header["format"] != version:
         raise ModelError(
             f"{kind} format {header['format']}, but this release reads format {version}; "
-            f"use the release it was made with, or {made} it again"
+            f"use the release it was made with, or {remedy} it again"
         )
     return header
 

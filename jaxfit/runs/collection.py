@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -14,16 +14,18 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jaxfit
+from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs, state_of
 from jaxfit.data.locks import held
 from jaxfit.data.names import table_path
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
-from jaxfit.fitting.stream import NO_FACE
+from jaxfit.fitting.sources import NO_FACE
 from jaxfit.models.files import bundled
 from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.runs.workers import BatchFitter
+from jaxfit.types import Progress, silent
 
 _COMMAND = "jaxfit collect"
 _STATES = "jaxfit pictures"  # metadata of a part: what its pictures were like
@@ -40,7 +42,7 @@ def fit_collection(
     workers: int | None = None,
     gpus: float = 0.0,
     part: int = 256,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    progress: Progress = silent,
 ) -> dict[str, int]:
     """Find and fit the faces in a collection of pictures with workers of Ray Data; needs ``jaxfit[ray]``.
 
@@ -94,7 +96,7 @@ def _fit_held(
     workers: int | None,
     gpus: float,
     part: int,
-    progress: Callable[[str, int, int], None],
+    progress: Progress,
 ) -> dict[str, int]:
     """What `fit_collection` does, in a folder that no other run writes to."""
     require_own_folder(out, _COMMAND)
@@ -103,7 +105,7 @@ def _fit_held(
     written = ["settings.json", "manifest.parquet"]  # and the parts
     require_no_inputs(
         [*(out / name for name in (*written, MANIFEST)), *parts.iterdir()],
-        [*wanted, *run_files(fitter.model, fitter.detector).values()],
+        [*wanted, *run_files(fitter.model, fitter.fitting).values()],
     )
     settings = _settings(fitter)
     require_same_settings(out / "settings.json", settings)
@@ -116,8 +118,8 @@ def _fit_held(
         done = len(wanted) - len(left)
         progress("fitting pictures", done, len(wanted))
         some = [left[first : first + part] for first in range(0, len(left), part)]
-        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as made:
-            for fitted, error in made:
+        with closing(_fit_parts(some, fitter, parts, workers, gpus)) as results:
+            for fitted, error in results:
                 if error:
                     raise JaxfitError(error)
                 done += fitted
@@ -141,14 +143,15 @@ def _require_ray() -> None:
 
 def _settings(fitter: BatchFitter) -> dict[str, Any]:
     """What has to be the same for a stopped run to go on."""
-    settings = {name: value for name, value in vars(fitter).items() if name != "cores"}
-    settings |= {
-        "starts": vars(fitter.starts),
-        "search": vars(fitter.search),
+    return {
+        "jaxfit": jaxfit.__version__,
         "model": str(fitter.model),
-        **file_digests(fitter.model, run_files(fitter.model, fitter.detector)),
+        **fitter.fitting.settings(),
+        "detector": fitter.fitting.detector or DEFAULT_DETECTOR,
+        "refine": fitter.refine,
+        "max_megapixels": fitter.max_megapixels,
+        **file_digests(fitter.model, run_files(fitter.model, fitter.fitting)),
     }
-    return {"jaxfit": jaxfit.__version__, **settings}
 
 
 def _fit_parts(
@@ -162,7 +165,7 @@ def _fit_parts(
         context.enable_progress_bars = False
         rows = [{"pictures": list(map(os.fsencode, part))} for part in parts]  # names need not be text
         with ray.data.DataContext.current(context):
-            made = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
+            results = ray.data.from_items(rows, override_num_blocks=len(rows)).map(
                 _PartFitter,
                 fn_constructor_args=(fitter, folder),
                 # One part at a time, so that a picture that kills its worker does not cost others their tries.
@@ -172,7 +175,7 @@ def _fit_parts(
                 num_cpus=fitter.cores,
                 num_gpus=gpus,
             )
-            for row in made.iter_rows():
+            for row in results.iter_rows():
                 yield row["pictures"], row["error"]
 
 

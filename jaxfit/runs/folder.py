@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxfit
-from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import GivenBox, boxes_of_pictures
 from jaxfit.data.contact_sheet import write_contact_sheet
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Search, detector_named
+from jaxfit.data.detectors import all_rough
 from jaxfit.data.inputs import require_no_inputs, same_files
 from jaxfit.data.limits import counted_together, most_megapixels
 from jaxfit.data.locks import held
@@ -34,14 +33,16 @@ from jaxfit.data.rows import PROBLEM, Row, Rows, table_text, table_values
 from jaxfit.data.threads import in_order, reading_threads
 from jaxfit.data.writers import DEFAULT_FORMATS, PTS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
-from jaxfit.fitting.fit import passes_from, passes_from_boxes, require_no_search
 from jaxfit.fitting.given_boxes import read_known_boxes
+from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine, require_refinable
-from jaxfit.fitting.stream import Pipeline, Progress, Source, stream
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress, silent
 
 # Pictures that are kept together when they are done: what a killed run loses at most.
 _CHUNK = 256
@@ -62,8 +63,7 @@ class FolderRun:
     Attributes:
         out: the folder of the results, made if needed.
         model: a bundled model's name, or a model file.
-        detector: what finds the faces: its name, as in ``jaxfit.detect_faces``; None takes the default one.
-        search: how faces are looked for.
+        fitting: how faces are found, by a detector that comes by name, and fitted.
         boxes: a CSV file of face boxes with the columns image, x, y, width and height, and rotation if faces are
             turned, instead of a detector; ``landmarks.csv`` of another run is such a file, and where a rough detector
             drew all of its boxes, they are fitted in two passes as the detector's are. ``image`` is a path,
@@ -71,7 +71,6 @@ class FolderRun:
             a bare file name, where only one picture's path ends so.
         folders: that the pictures were found in.
         box_kind: what drew those boxes; None takes what the file's column box says, and squares where it says nothing.
-        starts: of each face.
         unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
@@ -85,12 +84,10 @@ class FolderRun:
 
     out: str | Path
     model: str | Path = DEFAULT_MODEL
-    detector: str | None = None
-    search: Search = field(default_factory=Search)
+    fitting: Fitting = field(default_factory=Fitting)
     boxes: str | Path | None = None
     folders: tuple[str | Path, ...] = ()
     box_kind: str | None = None
-    starts: Starts = field(default_factory=Starts)
     unshift: bool = False
     refine: bool = False
     formats: tuple[str, ...] = DEFAULT_FORMATS
@@ -101,7 +98,7 @@ class FolderRun:
 
     def files(self) -> dict[str, Path]:
         """The files beside the pictures that the run reads, by what they are."""
-        return run_files(self.model, self.detector, self.boxes)
+        return run_files(self.model, self.fitting, self.boxes)
 
     def settings(self, pictures: Sequence[Path]) -> dict[str, Any]:
         """What has to be the same for a stopped run to go on; JSON values."""
@@ -110,11 +107,9 @@ class FolderRun:
         return {
             "jaxfit": jaxfit.__version__,
             "model": str(self.model),
-            "detector": self.detector,
-            "search": vars(self.search),
+            **self.fitting.settings(),
             "box_kind": self.box_kind,
             "folders": list(map(str, self.folders if self.boxes else ())),
-            "starts": vars(self.starts),
             "unshift": self.unshift,
             "refine": self.refine,
             "overlays": self.overlays,
@@ -157,9 +152,7 @@ class FolderReport:
     written: tuple[Path, ...]
 
 
-def fit_folder(
-    run: FolderRun, pictures: Sequence[str | Path], progress: Progress = lambda stage, done, total: None
-) -> FolderReport:
+def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progress = silent) -> FolderReport:
     """Fit pictures into a folder of results: tables and other formats, overlays, and ``problems.csv``.
 
     The folder is the run's own: ``manifest.json`` says what was written, by what and when, and files of an earlier run
@@ -309,17 +302,13 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | Non
         )
     if run.min_confidence is not None and model.confidence is None:
         raise InputError("expected a model with a confidence, for a least confidence; this one has none")
-    if run.boxes is None:
-        if run.box_kind is not None:
-            raise InputError(f"the kind {run.box_kind} says what drew the boxes of a file; give that file too")
-        detector = detector_named(run.detector or DEFAULT_DETECTOR, run.search)
-        return Pipeline(model, detector, run.starts, passes_from(detector)), None
-    if run.detector is not None:
-        raise InputError("expected boxes or a detector that finds them; got both")
-    require_no_search(run.search)
+    run.fitting.settings()  # which only detectors that come by name have
+    if run.boxes is not None:
+        run.fitting.require_given_boxes()
     named = read_known_boxes(run.boxes, run.box_kind, model)
-    passes = passes_from_boxes(box.kind for boxes in named.values() for box in boxes)
-    return Pipeline(model, starts=run.starts, passes=passes), named
+    if named is None:
+        return run.fitting.pipeline(model), None
+    return run.fitting.pipeline_in_boxes(model, all_rough(box.kind for boxes in named.values() for box in boxes)), named
 
 
 def _boxes_of(run: FolderRun, named: _NamedBoxes | None, files: Sequence[Path]) -> tuple[_Boxes | None, list[str]]:

@@ -10,6 +10,7 @@ from jaxfit.data.inputs import state_of
 from jaxfit.data.outputs import atomic_write, discard, require_same_settings, results_in
 from jaxfit.data.rows import PROBLEM, Row
 from jaxfit.errors import InputError
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.models.files import BUNDLED, read_named
 
 _UNFINISHED, _SETTINGS, _OUTPUTS = ".unfinished", "settings.json", "outputs.json"
@@ -105,9 +106,10 @@ class RunFolder:
                 ) from None
 
 
-def run_files(model: str | Path, detector: str | None, boxes: str | Path | None = None) -> dict[str, Path]:
+def run_files(model: str | Path, fitting: Fitting, boxes: str | Path | None = None) -> dict[str, Path]:
     """The files beside the pictures that a run reads, by what they are; what comes with the package is none."""
-    named = {"model": model, "detector": (detector or "").partition(":")[2], "boxes": boxes}
+    detector = fitting.settings()["detector"] or ""
+    named = {"model": model, "detector": detector.partition(":")[2], "boxes": boxes}
     return {kind: Path(name) for kind, name in named.items() if name and Path(name).is_file()}
 
 

@@ -9,20 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from jaxfit.cascade.starts import Starts
 from jaxfit.compile_cache import keep_compiled_code
-from jaxfit.data.detectors import DEFAULT_DETECTOR, Detector, Search, detector_named
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels
 from jaxfit.data.names import table_path
 from jaxfit.data.pictures import NAMELESS, kind_of
 from jaxfit.data.rows import FLAGS, PROBLEM, TEXTS
 from jaxfit.data.threads import at_most_cores
 from jaxfit.errors import InputError
-from jaxfit.fitting.fit import fit
+from jaxfit.fitting.fit import name_of
 from jaxfit.fitting.fits import Fits
+from jaxfit.fitting.pipeline import Fitting, Pipeline
 from jaxfit.fitting.refine import refine
+from jaxfit.fitting.sources import Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.files import BUNDLED, DEFAULT_MODEL, load, read_named
-from jaxfit.models.model import Model
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,7 @@ class BatchFitter:
 
     Attributes:
         model: a bundled model's name, or a model file that every worker can read.
-        detector: what finds the faces: its name, as in ``jaxfit.detect_faces``.
-        search: how faces are looked for, as in ``jaxfit.fit``.
-        starts: as in ``jaxfit.fit``.
+        fitting: how faces are found, by a detector that comes by name, and fitted.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         cores: that a worker's threads keep busy; with a worker for each core, 1.
         max_megapixels: of a picture; larger ones are problems.
@@ -45,9 +43,7 @@ class BatchFitter:
     """
 
     model: str | Path = DEFAULT_MODEL
-    detector: str = DEFAULT_DETECTOR
-    search: Search = field(default_factory=Search)
-    starts: Starts = field(default_factory=Starts)
+    fitting: Fitting = field(default_factory=Fitting)
     refine: bool = False
     cores: int = 1
     max_megapixels: float = DEFAULT_MEGAPIXELS
@@ -55,7 +51,8 @@ class BatchFitter:
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
         read_named(self.model, BUNDLED, "model")
-        detector_named(self.detector, self.search)
+        self.fitting.settings()
+        self.fitting.finder()
         with at_most_megapixels(self.max_megapixels):  # if it is a number that may be
             pass
         if self.cores < 1:
@@ -79,15 +76,11 @@ class BatchFitter:
             ModelError: the model file is damaged.
         """
         names, pictures = _pictures(batch)
-        model, detector = _loaded(self.model, self.detector, self.search, self.cores)
+        pipeline = _pipeline(self.model, self.fitting, self.cores)
+        sources = [Source(picture, name_of(picture)) for picture in pictures]
         with at_most_cores(self.cores), at_most_megapixels(self.max_megapixels):
-            fits = fit(
-                model,
-                pictures,
-                detector=detector,
-                starts=self.starts,
-            )
-            fits = refine(model, fits) if self.refine else fits
+            (fits,) = stream(pipeline, [sources], len(sources))
+            fits = refine(pipeline.model, fits) if self.refine else fits
         return _columns(fits, names)
 
 
@@ -123,11 +116,11 @@ def _bytes(data: Any) -> bytes:
 
 
 @cache
-def _loaded(model: str | Path, detector: str, search: Search, cores: int) -> tuple[Model, Detector]:
+def _pipeline(model: str | Path, fitting: Fitting, cores: int) -> Pipeline:
     """What a process needs, once."""
     os.environ.setdefault("NPROC", str(cores))  # how many threads XLA starts, if it has not begun yet
     keep_compiled_code()
-    return load(model), detector_named(detector, search)
+    return fitting.pipeline(load(model))
 
 
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:

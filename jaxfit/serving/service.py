@@ -12,7 +12,8 @@ from jaxfit.data.overlays import outline_of, solid_points
 from jaxfit.data.pictures import decode_image, require_heif
 from jaxfit.data.rows import Row, rounded
 from jaxfit.errors import ImageError, InputError, JaxfitError
-from jaxfit.fitting.fit import fit, passes_from, warm_up
+from jaxfit.fitting.fit import fit, warm_up
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.models.model import Model
 
 MOST_PIXELS = 50_000_000  # of a picture; decoded, it takes three bytes each
@@ -56,7 +57,7 @@ class Service:
     def warm_up(self) -> None:
         """Compile, in the background, what the page begins with: the first model, for boxes of the first detector."""
         model, detector = next(iter(self._models.values())), next(iter(self._detectors.values()))
-        self._worker.submit(warm_up, model, batches=(1,), passes=passes_from(detector))
+        self._worker.submit(warm_up, model, batches=(1,), passes=Fitting().passes_from(detector.rough))
 
     def fit(self, data: bytes, model: str, detector: str) -> dict[str, Any]:
         """The faces in a picture.

@@ -182,12 +182,12 @@ def _variance(
 ) -> Scalar:
     """Of the landmarks' errors, a coordinate, in the model's unit: what an alignment leaves over is less than they were
     by what b and the camera have explained of them."""
-    camera, told = alignment.camera, 2 * weights.sum()
+    camera, known = alignment.camera, 2 * weights.sum()
     apart = (show(model.reconstruct(alignment.b), camera)[:, :2] - points) / jnp.maximum(camera.scale, 1e-6)
     squares = jnp.maximum(jnp.sum(weights[:, None] * apart**2), 1e-12)
-    prior = squares / jnp.maximum(told, 1e-12) * jnp.eye(len(explained), dtype=explained.dtype)
+    prior = squares / jnp.maximum(known, 1e-12) * jnp.eye(len(explained), dtype=explained.dtype)
     spent = _POSE + jnp.trace(_solve(explained + prior, explained))
-    return squares / jnp.maximum(told - spent, 1.0)
+    return squares / jnp.maximum(known - spent, 1.0)
 
 
 def _camera_moves(head: Landmarks3D) -> Float[Array, "6 landmarks 2"]:
@@ -198,8 +198,8 @@ def _camera_moves(head: Landmarks3D) -> Float[Array, "6 landmarks 2"]:
     return jnp.stack([jnp.stack(way, 1) for way in ways])
 
 
-def _error(seen: Landmarks3D, points: Landmarks, weights: Weights) -> Scalar:
-    return jnp.sum(weights * jnp.sqrt(jnp.sum((seen[:, :2] - points) ** 2, 1) + 1e-12))
+def _error(shown: Landmarks3D, points: Landmarks, weights: Weights) -> Scalar:
+    return jnp.sum(weights * jnp.sqrt(jnp.sum((shown[:, :2] - points) ** 2, 1) + 1e-12))
 
 
 # One system after the other also in batches: on a CPU, batches are solved by threads that wait for threads of the same

@@ -124,10 +124,10 @@ def align_shapes(head: Landmarks3D, points: Landmarks, weights: Float[Array, "la
         picture, or in one point.
     """
     known = weights > 0
-    seen = jnp.where(known[:, None], points, 0.0)
+    labelled = jnp.where(known[:, None], points, 0.0)
     share = weights / jnp.maximum(weights.sum(), 1e-12)
-    middle_3d, middle_2d = (jnp.matmul(share, of, precision=_EXACT) for of in (head, seen))
-    solid, flat = head - middle_3d, jnp.where(known[:, None], seen - middle_2d, 0.0)
+    middle_3d, middle_2d = (jnp.matmul(share, of, precision=_EXACT) for of in (head, labelled))
+    solid, flat = head - middle_3d, jnp.where(known[:, None], labelled - middle_2d, 0.0)
     # Without units: a flat shape is then known whatever its size.
     size_3d = jnp.sqrt(jnp.maximum(jnp.sum(share[:, None] * solid**2), 1e-12))
     size_2d = jnp.sqrt(jnp.maximum(jnp.sum(share[:, None] * flat**2), 1e-12))

@@ -1,10 +1,14 @@
 """What all commands have in common: bad input ends them at once, in one line that says what to do."""
 
+import argparse
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from drawn_faces import TRAIN
 
+from jaxfit.cascade.greedy import Greedy
+from jaxfit.cli.arguments import add_training, given_greedy
 from jaxfit.cli.main import main
 
 
@@ -42,6 +46,17 @@ def test_wrong_requests_stop_at_once_and_say_what_to_do(
         assert "jaxfit: error:" in said, request
         assert words in said, request
     assert not (tmp_path / "out.safetensors").exists()
+
+
+def test_options_of_greedy_training_are_its_fields() -> None:
+    command = argparse.ArgumentParser()
+    add_training(command)
+    assert given_greedy(command.parse_args([])) == Greedy()
+    values = {"windows": ["0.3", "0.2"], "augmentations": ["2"], "variance": ["0.8"], "ridge": ["0.5"]}
+    values |= {"rank": ["3"], "spread": ["1.5"], "seed": ["7"]}
+    assert list(values) == [field.name for field in fields(Greedy)]
+    words = [word for name, given in values.items() for word in (f"--{name}", *given)]
+    assert given_greedy(command.parse_args(words)) == Greedy((0.3, 0.2), 2, 0.8, 0.5, 3, 1.5, 7)
 
 
 def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.CaptureFixture[str]) -> None:

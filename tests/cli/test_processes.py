@@ -15,7 +15,7 @@ from safetensors.numpy import load_file
 
 import jaxfit
 from jaxfit.cli.main import main
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 
 OTHER_ENDED = ("another process ended", "another task died")  # in jaxfit's words or JAX's, whichever notices first
 # What a program of several processes does, and what it is not let do.
@@ -24,7 +24,7 @@ import sys
 import numpy as np
 import jaxfit
 from jaxfit.data.pictures import read_grey
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.image.frame import Frame
 
 folder, target, address, index = *sys.argv[1:4], int(sys.argv[4])

@@ -11,7 +11,7 @@ from drawn_faces import draw_face
 import jaxfit
 from jaxfit.cli import track
 from jaxfit.cli.main import main
-from jaxfit.data.detectors import DETECTORS, Detection
+from jaxfit.data.detectors import DETECTORS, Detection, DetectorEntry
 from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.track import TrackedFrame
 from jaxfit.models.model import SQUARE, Model
@@ -30,7 +30,7 @@ class Middle:
 
 @pytest.fixture(autouse=True)
 def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(DETECTORS, "drawn", lambda search: Middle())
+    monkeypatch.setitem(DETECTORS, "drawn", DetectorEntry(lambda search: Middle(), ("square",)))
 
 
 @pytest.fixture(scope="module")

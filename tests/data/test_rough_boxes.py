@@ -2,19 +2,23 @@
 
 import pytest
 
-from jaxfit.data.detectors import DETECTORS, ROUGH_KINDS, Search
-from jaxfit.errors import InputError
-from jaxfit.fitting.fit import passes_from, passes_from_boxes
+from jaxfit.data.detectors import DETECTORS, Search, all_rough
+from jaxfit.fitting.pipeline import Fitting
 
 
 @pytest.mark.parametrize("name", DETECTORS)
 def test_boxes_of_a_file_are_fitted_as_their_detector_is(name: str) -> None:
-    try:
-        detector = DETECTORS[name](Search())
-    except InputError:
+    entry = DETECTORS[name]
+    if not entry.installed:
         pytest.skip("not installed")
+    detector = entry.make(Search())
+    assert (entry.kinds, entry.rough) == (detector.kinds, detector.rough)
     for kind in detector.kinds:
-        assert (kind in ROUGH_KINDS) == detector.rough
-        assert passes_from_boxes([kind, kind]) == passes_from(detector)
-    assert passes_from_boxes([*detector.kinds, "square"]) == 1
-    assert passes_from_boxes([]) == 1
+        assert all_rough([kind, kind]) == detector.rough
+    assert not all_rough([*detector.kinds, "square"])
+    assert not all_rough([])
+
+
+def test_rough_boxes_take_two_passes_unless_others_are_asked_for() -> None:
+    assert (Fitting().passes_from(rough=True), Fitting().passes_from(rough=False)) == (2, 1)
+    assert Fitting(passes=3).passes_from(rough=True) == Fitting(passes=3).passes_from(rough=False) == 3

@@ -14,7 +14,8 @@ import jaxfit
 from jaxfit.cascade.model import first_steps
 from jaxfit.data.boxes import GivenBox, bounding_square
 from jaxfit.data.pictures import write_image
-from jaxfit.evaluation.evaluate import evaluate_steps, match_boxes, measure, start_boxes, usual_normaliser
+from jaxfit.evaluation.boxes import match_boxes, start_boxes
+from jaxfit.evaluation.evaluate import evaluate_steps, measure, usual_normaliser
 from jaxfit.labels.records import FaceRecord
 from jaxfit.schemes.known import IBUG68
 from jaxfit.schemes.scheme import Scheme

@@ -36,12 +36,12 @@ from jaxfit.experiments.results import ExperimentResults, read_results
 from jaxfit.experiments.runner import Status, experiment_status, run_experiment
 from jaxfit.experiments.tasks import GridTask, Task, TimesTask, plan_tasks
 from jaxfit.experiments.thesis.numbers import THESIS
-from jaxfit.fitting.stream import Progress
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.learning.train import Trained
 from jaxfit.schemes.known import AFLW21, IBUG68
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.types import Progress
 
 FACES = 14  # in two folds: each has fewer than 8 faces, so that one size of batch is compiled
 # Two steps, and starts far from upright, so that results that must differ do. All components of the features are kept:

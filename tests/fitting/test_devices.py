@@ -16,16 +16,16 @@ import jax, numpy as np
 jax.config.update("jax_num_cpu_devices", 2)
 import jaxfit
 from small import random_model
-stream = import_module("jaxfit.fitting.stream")
-stream.BATCHES = (16,)
-assert stream.batch_sizes() == (32, 16)
+batches, stream = (import_module(f"jaxfit.fitting.{name}") for name in ("batches", "stream"))
+batches.BATCHES = (16,)
+assert batches.batch_sizes() == (32, 16)
 
-used, find = [], stream._find
+used, find = [], batches._find
 def remembering(*given):
     found = find(*given)
     used.append(sorted(device.id for device in found["landmarks"].devices()))
     return found
-stream._find = remembering
+batches._find = remembering
 
 def fits():
     rng = np.random.default_rng(0)
@@ -36,7 +36,7 @@ def fits():
 model = random_model("alignment3d")
 together = fits()
 assert sorted(used) == [[0, 1], [1]], used  # the last batch where the caller says, though in a thread
-stream.batch_sizes = lambda: (16,)
+batches.batch_sizes = stream.batch_sizes = lambda: (16,)
 alone = fits()
 assert used[2:] == [[1]] * 3, used
 assert together.ok.all()

@@ -27,8 +27,8 @@ from jaxfit.cascade.fit import fit_crops, fit_heads
 from jaxfit.cascade.starts import Starts
 from jaxfit.errors import ModelError
 from jaxfit.fitting import export as exporting
+from jaxfit.fitting.batches import BATCHES
 from jaxfit.fitting.export import export_model, load_exported
-from jaxfit.fitting.stream import BATCHES
 from jaxfit.models.model import Model
 from jaxfit.schemes.known import AFLW21
 

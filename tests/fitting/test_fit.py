@@ -13,9 +13,9 @@ from drawn_heads import HEAD, rotation_of
 import jaxfit
 from jaxfit.cascade.fit import fit_crops
 from jaxfit.data.boxes import bounding_square
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
+from jaxfit.fitting.batches import BATCHES
 from jaxfit.fitting.fits import Problem
-from jaxfit.fitting.stream import BATCHES
 from jaxfit.models.model import Model
 from jaxfit.shapes.space import ShapeSpace3D
 

@@ -6,7 +6,6 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from importlib import import_module
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,15 @@ from small import Corners, random_model, with_corners
 import jaxfit
 from jaxfit.data.pictures import write_image
 from jaxfit.data.threads import at_most_cores, reading_threads
+from jaxfit.fitting import batches
+from jaxfit.fitting.batches import BATCHES, batches_of, computed_at_once
 from jaxfit.fitting.find import find_faces
 from jaxfit.fitting.fits import Fits, Problem
-from jaxfit.fitting.stream import BATCHES, NO_BOX, NO_FACE, Pipeline, Source, batches_of, computed_at_once, stream
+from jaxfit.fitting.pipeline import Pipeline
+from jaxfit.fitting.sources import NO_BOX, NO_FACE, Source
+from jaxfit.fitting.stream import stream
 from jaxfit.models.model import SQUARE, Model
 
-STREAM = import_module("jaxfit.fitting.stream")  # whose name the function has, too
 BOX = np.array([15.0, 15.0, 60.0, 60.0])
 PICTURE = np.random.default_rng(7).integers(0, 256, (90, 120), dtype=np.uint8)
 PICTURES = ("a.jpg", "b.jpg", "c.jpg", "d.png", "e.png")
@@ -116,7 +118,7 @@ def test_a_picture_is_decoded_once_and_in_grey_if_that_will_do(
         return decode(data, flags)
 
     monkeypatch.setattr(cv2, "imdecode", counting)
-    monkeypatch.setattr(STREAM, "_find", fake_find(lambda crops: None))
+    monkeypatch.setattr(batches, "_find", fake_find(lambda crops: None))
     work(model, [folder / name for name in PICTURES])
     assert sorted(decoded) == sorted([of_jpeg] * 3 + [COLOUR] * 2)  # other formats do not store the luminance
 
@@ -124,7 +126,7 @@ def test_a_picture_is_decoded_once_and_in_grey_if_that_will_do(
 def test_groups_come_back_in_order_with_the_fits_that_they_have_alone(
     model: Model, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(STREAM, "BATCHES", (8, 1))  # of which there are large ones sooner
+    monkeypatch.setattr(batches, "BATCHES", (8, 1))  # of which there are large ones sooner
     groups = [
         [with_boxes(PICTURE), with_boxes(PICTURE[::-1], 3)],
         [],
@@ -157,13 +159,13 @@ def test_a_group_without_pictures_has_fits_of_nobody(method: str) -> None:
 
 
 def test_no_batch_has_faces_of_two_groups(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches: dict[int, list[int]] = {}
+    computed: dict[int, list[int]] = {}
 
     def look(crops: np.ndarray) -> None:
         (group,) = np.unique(crops)
-        batches.setdefault(int(group), []).append(len(crops))
+        computed.setdefault(int(group), []).append(len(crops))
 
-    monkeypatch.setattr(STREAM, "_find", fake_find(look))
+    monkeypatch.setattr(batches, "_find", fake_find(look))
     # All of a group's pictures are of one grey, its number.
     faces = [[5], [], [1, 1, 140, 1], [16, 17], [200], [1] * 30, [3, 0, 0, 9]]
     groups = [
@@ -174,8 +176,8 @@ def test_no_batch_has_faces_of_two_groups(model: Model, monkeypatch: pytest.Monk
         fits = list(stream(Pipeline(model), groups, sum(map(len, groups))))
         expected = {number: batches_of(sum(of_group)) for number, of_group in enumerate(faces) if of_group}
     assert [len(each) for each in fits] == list(map(sum, faces))
-    assert {number: sorted(sizes, reverse=True) for number, sizes in batches.items()} == expected
-    assert BATCHES[0] in batches[2]
+    assert {number: sorted(sizes, reverse=True) for number, sizes in computed.items()} == expected
+    assert BATCHES[0] in computed[2]
 
 
 @pytest.mark.parametrize(
@@ -273,7 +275,7 @@ def test_while_batches_are_slow_few_pictures_are_read(model: Model, monkeypatch:
         ahead.append(len(begun) - sum(fitted))
         fitted.append(len(crops))
 
-    monkeypatch.setattr(STREAM, "_find", fake_find(look))
+    monkeypatch.setattr(batches, "_find", fake_find(look))
     with at_most_cores(1):
         fits = fits_of(Pipeline(model, read=read), [with_boxes(Path(str(number))) for number in range(1500)])
     assert fits.fitted.all()
@@ -306,7 +308,7 @@ def test_a_stream_that_is_stopped_leaves_no_threads_and_reads_no_more(
             stop_at("groups", number == 6)
             yield [with_boxes(Path(f"{number}-{n}")) for n in range(4)]
 
-    monkeypatch.setattr(STREAM, "_find", fake_find(lambda crops: stop_at("computing", len(begun) > 20)))
+    monkeypatch.setattr(batches, "_find", fake_find(lambda crops: stop_at("computing", len(begun) > 20)))
     before = set(threading.enumerate())
     results = stream(
         Pipeline(model, read=read), groups(), 10**9, lambda stage, done, total: stop_at("progress", done > 20)
@@ -377,7 +379,7 @@ def test_starts_and_passes_reach_the_computation(model: Model, monkeypatch: pyte
         given.append(arguments)
         return fake_find(lambda crops: None)(*arguments)
 
-    monkeypatch.setattr(STREAM, "_find", find)
+    monkeypatch.setattr(batches, "_find", find)
     starts = jaxfit.Starts(5, -30.0, 40.0)
     jaxfit.fit(model, [PICTURE], [BOX], starts=starts, passes=3)
     jaxfit.fit(model, [with_corners(1)], detector=Corners(), starts=starts)

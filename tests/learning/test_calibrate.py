@@ -47,7 +47,7 @@ def _record(image: Path, box: np.ndarray | None) -> FaceRecord:
 
 def test_boxes_moved_and_shrunk_are_placed_back(boxed: list[FaceRecord], portrait: np.ndarray) -> None:
     model = jaxfit.load("sdm68")
-    learned, known = calibrate_boxes(model, boxed), model.placement("haar-frontal")
+    learned, known = calibrate_boxes(model, boxed).placement, model.placement("haar-frontal")
     (found,) = jaxfit.detect_faces(portrait, "haar")
     x, y, width, height = found.box
     box = np.array([x + width / 4 + width / 10, y + height / 4, width / 2, height / 2])
@@ -68,7 +68,11 @@ def test_what_cannot_be_measured_is_left_out_until_too_little_is_left(boxed: lis
     blank = tmp_path / "blank.png"
     write_image(blank, np.full((200, 200), 90, np.uint8))
     others = [_record(tmp_path / "none.png", boxed[0].box), _record(blank, boxed[0].box), _record(boxed[0].image, None)]
-    assert calibrate_boxes(model, boxed + others) == calibrate_boxes(model, boxed)
+    calibrated, usual = calibrate_boxes(model, boxed + others), calibrate_boxes(model, boxed)
+    assert (calibrated.placement, calibrated.faces) == (usual.placement, FACES)
+    (problem,) = calibrated.problems
+    assert problem.startswith(f"{tmp_path / 'none.png'}: ")
+    assert usual.problems == ()
     with pytest.raises(jaxfit.InputError, match="at least 10 faces that the detector finds in their boxes; found 3"):
         calibrate_boxes(model, boxed[:3] + others)
 

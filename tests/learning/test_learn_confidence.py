@@ -23,17 +23,8 @@ from jaxfit.data.boxes import bounding_square
 from jaxfit.errors import InputError, ModelError
 from jaxfit.evaluation.calibration import auroc, calibration_error
 from jaxfit.learning import confidence as trusting
-from jaxfit.learning.confidence import (
-    DETECTED,
-    ELSEWHERE,
-    LOST,
-    NO_FACES,
-    PART,
-    PATTERN,
-    SampledFits,
-    learn_confidence,
-    sample_fits,
-)
+from jaxfit.learning.confidence import SampledFits, learn_confidence, sample_fits
+from jaxfit.learning.draw_starts import DETECTED, ELSEWHERE, LOST, NO_FACES, PART, PATTERN, start_box
 from jaxfit.schemes.known import AFLW21
 
 SQUARE = np.array([60.0, 50, 80, 80])
@@ -74,7 +65,11 @@ def test_samples_tell_what_fits_tell(model, heads) -> None:
     some = samples.faces >= 5
     np.testing.assert_array_equal(again.starts, samples.starts[some])
     np.testing.assert_allclose(again.errors, samples.errors[some], rtol=1e-3)
-    assert np.isnan(sample_fits(replace(model, confidence=None), heads[:2]).confidence).all()
+    unread = replace(heads[0], image=Path("nowhere.png"))
+    mute = sample_fits(replace(model, confidence=None), [*heads[:2], unread])
+    assert np.isnan(mute.confidence).all()
+    assert {*mute.faces} == {0, 1}
+    assert [problem.partition(":")[0] for problem in mute.problems] == ["nowhere.png"]
 
 
 def test_saving_changes_nothing(model, tmp_path: Path) -> None:
@@ -119,7 +114,7 @@ def test_what_is_learned_is_as_likely_as_it_says() -> None:
         chance = 1 / (1 + np.exp(-2 * (clues[:, 0] - clues[:, 9]).clip(-2, 2)))
         return clues.astype(np.float32), rng.random(count) < chance
 
-    seen = [trusting._Seen(*fits(2000), np.full(2000, DETECTED)) for _ in range(3)]
+    seen = [trusting._Samples(*fits(2000), np.full(2000, DETECTED)) for _ in range(3)]
     confidence = trusting._learned(seen, projection, 0)
     clues, good = fits(20_000)
     features = np.asarray(projection.mean) + clues[:, :6] @ axes.T
@@ -138,10 +133,8 @@ def test_platt_scaling_undoes_a_wrong_scale() -> None:
 
 def test_boxes_are_what_they_are_called() -> None:
     rng = np.random.default_rng(0)
-    boxes = {
-        start: [trusting._box(start, SQUARE, PICTURE, rng) for _ in range(300)] for start in (DETECTED, LOST, PART)
-    }
-    far = [trusting._box(ELSEWHERE, SQUARE, PICTURE, rng) for _ in range(300)]
+    boxes = {start: [start_box(start, SQUARE, PICTURE, rng) for _ in range(300)] for start in (DETECTED, LOST, PART)}
+    far = [start_box(ELSEWHERE, SQUARE, PICTURE, rng) for _ in range(300)]
     assert all(overlap(box, SQUARE) < 0.15 for box in far)
     centres = np.stack([box[:2] + box[2:] / 2 for box in far])
     assert ((centres >= 0) & (centres <= PICTURE[::-1])).all()
@@ -154,7 +147,7 @@ def test_boxes_are_what_they_are_called() -> None:
     assert 0.45 < np.abs(offsets).max() <= 0.5
     spread = np.array([box[:2] + box[2:] / 2 - [100, 90] for box in boxes[DETECTED]]).std() / 80
     assert 0.06 < spread < 0.15
-    assert trusting._box(ELSEWHERE, np.array([-20.0, -20, 60, 60]), (20, 20), rng) is None
+    assert start_box(ELSEWHERE, np.array([-20.0, -20, 60, 60]), (20, 20), rng) is None
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:
@@ -199,7 +192,7 @@ def test_incomplete_faces_take_part_in_fine_tuning_alone(model, heads, monkeypat
 
     monkeypatch.setattr(trusting, "train", lambda *_, **__: SimpleNamespace(model=model))
     monkeypatch.setattr(trusting, "retuned", tuned)
-    monkeypatch.setattr(trusting, "_drawn", drawn)
+    monkeypatch.setattr(trusting, "draw_starts", drawn)
     partial = [replace(face, present=np.arange(21) > 3) for face in heads[::2]]
     with pytest.raises(Enough):
         learn_confidence(model, [*heads[1::2], *partial], folds=2)
@@ -214,7 +207,7 @@ def test_what_cannot_be_learned_from_is_refused(model, heads) -> None:
         sample_fits(model, [replace(heads[0], landmarks=np.zeros((5, 2)))])
     with pytest.raises(InputError, match="that can be read; got none"):
         sample_fits(model, [replace(heads[0], image=Path("nowhere.png"))])
-    same = trusting._Seen(np.zeros((4, 9)), np.ones(4, bool), np.full(4, DETECTED))
+    same = trusting._Samples(np.zeros((4, 9)), np.ones(4, bool), np.full(4, DETECTED))
     with pytest.raises(InputError, match="good and bad fits"):
         trusting._learned([same, same], Projection(jnp.zeros(3), jnp.eye(3)), 0)
 

@@ -11,7 +11,7 @@ import pytest
 
 import jaxfit
 from jaxfit.data.boxes import bounding_square
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.pose import pose_errors
 from jaxfit.shapes.pose_order import in_order
 

@@ -14,7 +14,7 @@ from jaxfit.cascade.state import features_of, state_of
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.crops import cut_face
 from jaxfit.data.pictures import to_grey
-from jaxfit.evaluation.evaluate import start_boxes
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.shapes.space import Start
 
 STARTS = jaxfit.Starts(11)

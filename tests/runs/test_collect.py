@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.locks import held
 from jaxfit.errors import InputError, JaxfitError, ModelError
+from jaxfit.fitting import Fitting
 from jaxfit.runs import BatchFitter, FolderRun, collection, fit_collection, fit_folder
 
 Columns = dict[str, np.ndarray]
@@ -40,7 +42,7 @@ def many(drawn: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def fitter() -> BatchFitter:
-    return BatchFitter(_MODEL, "whole")
+    return BatchFitter(_MODEL, Fitting("whole"))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def same(some: Columns, others: Columns) -> bool:
 
 def test_a_batch_says_what_a_folder_run_says(rows: Columns, batch: Columns, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    run = FolderRun(tmp_path, _MODEL, detector="whole", formats=("parquet",), overlays=False)
+    run = FolderRun(tmp_path, _MODEL, fitting=Fitting("whole"), formats=("parquet",), overlays=False)
     report = fit_folder(run, list(batch["image"]))
     table = parquet.read_table(tmp_path / "landmarks.parquet")
     fitted = rows["problem"] == ""
@@ -121,13 +123,13 @@ def test_dask_maps_it_over_partitions(fitter: BatchFitter, batch: Columns, rows:
 
 
 def test_heads_have_columns_of_their_own() -> None:
-    columns = list(BatchFitter("face68-3d", "whole")({"image": []}))
+    columns = list(BatchFitter("face68-3d", Fitting("whole"))({"image": []}))
     assert columns[-1] == "problem"
     assert {"x1", "head_roll", "head_scale", "head_x1", "head_z68", "head_b1"} <= {*columns}
 
 
 def test_nonsense_is_refused_before_any_work(fitter: BatchFitter, tmp_path: Path) -> None:
-    settings: tuple[dict[str, Any], ...] = ({"detector": "nose"}, {"cores": 0})
+    settings: tuple[dict[str, Any], ...] = ({"fitting": Fitting("nose")}, {"fitting": Fitting(Whole())}, {"cores": 0})
     for wrong in settings:
         with pytest.raises(InputError, match="expected"):
             BatchFitter(**wrong)
@@ -249,7 +251,7 @@ def test_what_stops_a_worker_stops_the_run(
     damaged = tmp_path / "damaged.safetensors"
     damaged.write_bytes(b"no model")
     with pytest.raises(JaxfitError, match="damaged"):
-        fit_collection(list(batch["image"]), tmp_path / "out", BatchFitter(damaged, "whole"))
+        fit_collection(list(batch["image"]), tmp_path / "out", BatchFitter(damaged, Fitting("whole")))
     with pytest.raises(InputError, match="other settings"):
         fit_collection(list(batch["image"]), tmp_path / "out", fitter)
 
@@ -272,13 +274,14 @@ _IN_A_CLUSTER = """
 import os, sys
 os.environ["RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"] = os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
 import ray, ray.data
+from jaxfit import Fitting
 from jaxfit.runs import BatchFitter, fit_collection
 model, out, *pictures = sys.argv[1:]
 ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False)
-print(fit_collection(pictures, out, BatchFitter(model, "whole"), workers=1, part=2), flush=True)
+print(fit_collection(pictures, out, BatchFitter(model, Fitting("whole")), workers=1, part=2), flush=True)
 rows = ray.data.read_binary_files(sorted(pictures)[:2], include_paths=True).map_batches(
     BatchFitter,
-    fn_constructor_kwargs={"model": model, "detector": "whole"},
+    fn_constructor_kwargs={"model": model, "fitting": Fitting("whole")},
     batch_size=2,
     compute=ray.data.ActorPoolStrategy(size=1),
 ).take_all()

@@ -21,11 +21,13 @@ from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.detectors import Search
+from jaxfit.data.detectors.whole import Whole
 from jaxfit.data.overlays import draw_head, draw_landmarks
 from jaxfit.data.pictures import find_images, read_image, write_image
 from jaxfit.data.pts import read_pts
 from jaxfit.data.writers import WRITERS
 from jaxfit.errors import InputError
+from jaxfit.fitting import Fitting
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.files import save
 from jaxfit.models.model import Model
@@ -231,13 +233,14 @@ def test_wrong_settings_stop_before_anything_is_written(run: FolderRun, pictures
     wrong: dict[str, dict[str, Any]] = {
         "only models of the method alignment3d": {"refine": True},
         "give that file too": {"boxes": None, "box_kind": "whole"},
-        "detector that finds them; got both": {"detector": "whole"},
-        "how faces are looked for .*; got both": {"search": Search(smallest=30.0)},
+        "detector that finds them; got both": {"fitting": Fitting("whole")},
+        "how faces are looked for .*; got both": {"fitting": Fitting(search=Search(smallest=30.0))},
         "a least confidence from 0 to 1; got 7": {"min_confidence": 7.0},
         "a least confidence from 0 to 1; got nan": {"min_confidence": float("nan")},
         "boxes of the kinds square": {"box_kind": "nobody"},
         "expected formats among csv, pts, .*; got 'xml'": {"formats": ("csv", "xml")},
-        "detector": {"boxes": None, "detector": "nose"},
+        "detector among": {"boxes": None, "fitting": Fitting("nose")},
+        "the name of a detector": {"boxes": None, "fitting": Fitting(Whole())},
     }
     for words, settings in wrong.items():
         with pytest.raises(InputError, match=words):
@@ -283,7 +286,7 @@ def test_a_stopped_run_goes_on_where_it_was(
     assert not (out / "landmarks.csv").exists()
     other = write_boxes(tmp_path / "other.csv", {pictures[0].name: (35, 35, 50, 50)})
     # A run of other pictures, or with other settings, must not go on from there.
-    for changed in ({"overlays": False}, {"starts": Starts(3)}, {"boxes": other}):
+    for changed in ({"overlays": False}, {"fitting": Fitting(starts=Starts(3))}, {"boxes": other}):
         with pytest.raises(InputError, match=r"holds results of other settings \(.*overwrite \(--overwrite\) to begin"):
             fit_folder(replace(run, **changed), pictures)
     with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
@@ -450,14 +453,14 @@ def test_inputs_that_have_changed_are_noticed(run: FolderRun, drawn: Path, tmp_p
     assert [Path(image).name for image, _ in report.problems] == ["02.png"]
     detector = tmp_path / "detector.onnx"
     detector.write_bytes(b"one")
-    of_file = replace(run, boxes=None, detector=f"yunet:{detector}")
+    of_file = replace(run, boxes=None, fitting=Fitting(f"yunet:{detector}"))
     before = of_file.settings(pictures)
     detector.write_bytes(b"another")
     assert before != of_file.settings(pictures)
 
 
 def test_a_detector_finds_the_faces_where_there_are_no_boxes(run: FolderRun, drawn: Path) -> None:
-    report = fit_folder(replace(run, model="fast68", boxes=None, detector="whole"), [drawn / "face000.png"])
+    report = fit_folder(replace(run, model="fast68", boxes=None, fitting=Fitting("whole")), [drawn / "face000.png"])
     assert report.faces == 1
     assert [row["box"] for row in read_csv(Path(run.out) / "landmarks.csv")] == ["whole"]
 
@@ -482,7 +485,7 @@ def test_no_name_of_a_picture_spoils_a_run(run: FolderRun, drawn: Path, tmp_path
     out = Path(run.out)
     (out / "pts" / "_-rf_1.pts").mkdir(parents=True)  # what cannot be written is a problem of its picture alone
     (out / "overlays" / "new_line.jpg").mkdir(parents=True)
-    whole = replace(run, boxes=None, detector="whole", formats=tuple(WRITERS), model="fast68")
+    whole = replace(run, boxes=None, fitting=Fitting("whole"), formats=tuple(WRITERS), model="fast68")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(odd)
         report = fit_folder(whole, find_images(["."]))
@@ -504,7 +507,7 @@ def test_no_name_of_a_picture_spoils_a_run(run: FolderRun, drawn: Path, tmp_path
         assert [json.loads(line)["image"] for line in lines] == [row["image"] for row in rows]
         for file in os.listdir(out / "pts"):
             assert re.fullmatch(r"[\w.!=+-]+", file, re.ASCII), file
-        again = replace(whole, boxes=out / "landmarks.csv", detector=None, out=tmp_path / "again", formats=("csv",))
+        again = replace(whole, boxes=out / "landmarks.csv", fitting=Fitting(), out=tmp_path / "again", formats=("csv",))
         assert fit_folder(again, find_images(["."])).unused == ()
     assert {row["image"] for row in read_csv(tmp_path / "again" / "landmarks.csv")} == {row["image"] for row in rows}
 

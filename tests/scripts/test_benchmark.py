@@ -22,8 +22,8 @@ from jaxfit.cascade.starts import Spread
 from jaxfit.data.pts import write_pts
 from jaxfit.descriptors.dense import Dense
 from jaxfit.errors import InputError
+from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.errors import nmed
-from jaxfit.evaluation.evaluate import start_boxes
 from jaxfit.image.frame import Frame
 from jaxfit.labels.records import Dataset
 from jaxfit.models.placements import Placement

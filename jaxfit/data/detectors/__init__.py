@@ -1,13 +1,14 @@
 """Face detectors by the names that the command line and ``jaxfit.fit`` know."""
 
-from collections.abc import Callable
+from collections.abc import Iterable
 
-from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, Search, best_match
+from jaxfit.data.detectors.detector import AnyRotation, Detection, Detector, DetectorEntry, Search, best_match
 from jaxfit.data.detectors.dlib_hog import KIND as DLIB
 from jaxfit.data.detectors.dlib_hog import DlibHog
 from jaxfit.data.detectors.haar import FRONTAL, PROFILE, Haar
 from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.detectors.whole import Whole
+from jaxfit.data.detectors.yunet import KIND as YUNET
 from jaxfit.data.detectors.yunet import YuNet
 from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.errors import InputError
@@ -15,63 +16,66 @@ from jaxfit.errors import InputError
 __all__ = [
     "DEFAULT_DETECTOR",
     "DETECTORS",
-    "ROUGH_KINDS",
     "Detection",
     "Detector",
+    "DetectorEntry",
     "Search",
+    "all_rough",
     "best_match",
+    "box_kinds",
     "detect_faces",
     "detector_named",
-    "finder_of",
+    "detector_specs",
 ]
 
 DEFAULT_DETECTOR = "yunet"
 
-# Made of how faces are looked for, and some of a file as well.
-DETECTORS: dict[str, Callable[[Search], Detector]] = {
-    DEFAULT_DETECTOR: YuNet,
-    "haar": Haar,
-    "dlib": DlibHog,
-    "whole": lambda search: Whole(),
+DETECTORS: dict[str, DetectorEntry] = {
+    DEFAULT_DETECTOR: DetectorEntry(YuNet, (YUNET,), rotates=True, make_of_file=YuNet),
+    "haar": DetectorEntry(Haar, (FRONTAL, PROFILE), rough=True),
+    "dlib": DetectorEntry(DlibHog, (DLIB,), rough=True, package="dlib"),
+    "whole": DetectorEntry(lambda search: Whole(), (WHOLE,), rough=True),
 }
-# The boxes of rough detectors (`Detector.rough`).
-ROUGH_KINDS = frozenset((FRONTAL, PROFILE, DLIB, WHOLE))
-OF_FILES: dict[str, Callable[[Search, str], Detector]] = {"yunet": YuNet}
 
 
-def detector_named(spec: str = DEFAULT_DETECTOR, search: Search = Search()) -> Detector:
-    """The detector that ``spec`` names: ``yunet``, ``yunet:FILE.onnx``, ``haar``, ``dlib`` or ``whole``.
+def detector_specs() -> list[str]:
+    """What `detector_named` takes: names, and ``NAME:FILE`` for detectors that are read from a file as well."""
+    return [*DETECTORS, *(f"{name}:FILE" for name, entry in DETECTORS.items() if entry.make_of_file is not None)]
+
+
+def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: Search = Search()) -> Detector:
+    """The detector of a name: ``yunet``, ``yunet:FILE.onnx``, ``haar``, ``dlib`` or ``whole``.
 
     Args:
-        spec: its name.
+        detector: its name, None for the default one; a detector of your own is given back as it is.
         search: how faces are looked for.
 
     Raises:
-        InputError: there is none of this name, its file is missing or damaged, or what it needs is not installed.
+        InputError: there is none of this name, its file is missing or damaged, what it needs is not installed; or a
+            search for a detector that does not come by name.
     """
+    if not isinstance(detector, str | None):
+        if search != Search():
+            raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
+        return detector
+    spec = detector or DEFAULT_DETECTOR
     name, _, path = spec.partition(":")
-    if name in OF_FILES and path:
-        detector = OF_FILES[name](search, path)
-    elif name in DETECTORS and not path:
-        detector = DETECTORS[name](search)
-    else:
-        known = [*DETECTORS, *(f"{of_file}:FILE" for of_file in OF_FILES)]
-        raise InputError(f"expected a detector among {', '.join(known)}; got {spec!r}")
-    # YuNet does it by itself, in less time.
-    return AnyRotation(detector) if search.any_rotation and not isinstance(detector, YuNet) else detector
+    entry = DETECTORS.get(name)
+    if entry is None or (path and entry.make_of_file is None):
+        raise InputError(f"expected a detector among {', '.join(detector_specs())}; got {spec!r}")
+    found = entry.make_of_file(search, path) if path and entry.make_of_file is not None else entry.make(search)
+    return AnyRotation(found) if search.any_rotation and not entry.rotates else found
 
 
-def finder_of(detector: str | Detector | None, search: Search = Search()) -> Detector:
-    """A detector of one's own, or the one of this name; None is the default one.
+def box_kinds() -> list[str]:
+    """The kinds of boxes that the detectors of the registry draw."""
+    return [kind for entry in DETECTORS.values() for kind in entry.kinds]
 
-    Raises:
-        InputError: as `detector_named`; or a search for a detector that does not come by name.
-    """
-    if isinstance(detector, str | None):
-        return detector_named(detector or DEFAULT_DETECTOR, search)
-    if search != Search():
-        raise InputError("expected a search for a detector that comes by name; a detector of your own has its own")
-    return detector
+
+def all_rough(kinds: Iterable[str]) -> bool:
+    """Whether boxes of these kinds are all those of rough detectors (`Detector.rough`); without any they are not."""
+    kinds = {*kinds}
+    return bool(kinds) and kinds <= {kind for entry in DETECTORS.values() if entry.rough for kind in entry.kinds}
 
 
 def detect_faces(
@@ -87,7 +91,7 @@ def detect_faces(
         search: how faces are looked for, by detectors that come by name.
 
     Raises:
-        InputError: as `finder_of`.
+        InputError: as `detector_named`.
         ImageError: the image is none of these.
     """
-    return finder_of(detector, search)(to_eight_bits(image))
+    return detector_named(detector, search)(to_eight_bits(image))

@@ -1,8 +1,9 @@
 """The seam for face detectors: what they find, what is asked of one, and how finds of one face are merged."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -86,6 +87,32 @@ class Detector(Protocol):
     def __call__(self, image: np.ndarray) -> list[Detection]:
         """The faces in a picture, uint8 (H, W) grey or (H, W, 3) RGB, largest first; empty if none is found."""
         ...
+
+
+@dataclass(frozen=True)
+class DetectorEntry:
+    """A detector in the registry: how it is made, and what is known of it before, or where it is not installed.
+
+    Attributes:
+        make: makes it of how faces are looked for.
+        kinds: of the boxes that it draws, as in `Detector`.
+        rough: as in `Detector`.
+        rotates: whether it heeds ``Search.any_rotation`` itself; for all others the picture is turned.
+        make_of_file: makes it of a file, too, as ``NAME:FILE`` asks for; None: it takes none.
+        package: that it needs beside those that come with jaxfit; empty: none.
+    """
+
+    make: Callable[[Search], Detector]
+    kinds: tuple[str, ...]
+    rough: bool = False
+    rotates: bool = False
+    make_of_file: Callable[[Search, str], Detector] | None = None
+    package: str = ""
+
+    @property
+    def installed(self) -> bool:
+        """Whether what it needs is there."""
+        return not self.package or find_spec(self.package) is not None
 
 
 @dataclass(frozen=True)

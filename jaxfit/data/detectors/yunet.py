@@ -1,7 +1,7 @@
 """YuNet (Wu, Peng and Yu, 2023): a small network that finds faces of any pose, run by OpenCV. Its file comes along."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -21,9 +21,11 @@ from jaxfit.image.frame import Frame
 KIND = "yunet"
 
 _FILE = "face_detection_yunet_2023mar.onnx"
-# Measured on labelled faces of those sizes: of faces that are 32 pixels wide for the network hardly any is
-# missed, of 24 pixels 1 in 25, of 16 pixels every fourth; faces of 600 pixels are still found.
-_SEEN = 32.0  # width of the smallest face, in the network's pixels
+# Of labelled faces that are 16 pixels wide for the network, half have the usual score and 9 in 10 the score of
+# doubtful finds; of 20 pixels 76 and 99 in 100; of 32 pixels all have both. Faces of 600 pixels are still found.
+_QUICK, _CLEAR = 20.0, 32.0  # width of the smallest face, in the network's pixels, at first and if no face is sure
+_CLOSE = 40.0  # width up to which a find is looked at closer, in a patch
+_LEAST = 0.67  # of the smallest face's width that a find has at least: more of what is smaller is no face
 _LARGEST = 640  # longer side, in the network's pixels, from which a coarser level looks for larger faces
 _COARSER = 4  # times that a level is coarser than the one before
 _TILE, _SHARED = 1280, 256  # sides of the parts that a large level is looked at in, and how far they overlap
@@ -35,14 +37,16 @@ _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower one
 # Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
 # patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
 _UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
+_LIKELY = 0.8  # score from which an upright find is a face, if no other rotation is better
 _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual score, in a group of which some lean more
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
-_MOST_DOUBTFUL = 30  # of them in a picture that are looked at again
+_MOST_SMALL, _MOST_TURNED = 200, 30  # of them in a picture that are looked at closer, and turned
 _CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
 _FRAME = Frame(crop=256, face=128.0)
+_CLOSER = Frame(crop=96, face=60.0)  # of closer looks: small, as most of them go to upright faces
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
-_BETTER = 0.02  # by which another rotation's score has to be better
+_BETTER = 0.01  # by which another rotation's score has to be better
 _LOOKS, _ENOUGH = 2, 10.0  # how often a box is mended, and degrees from which that pays
 # Faces are more turned than the network believes, by these factors, from small to large ones, in its pixels.
 _BELIEVED, _TURNED = (80.0, 130.0), (3.0, 1.3)
@@ -66,10 +70,11 @@ class _Part(NamedTuple):
 class YuNet:
     """Finds faces of any pose, also small ones and many in a picture, and how they are turned in it.
 
-    Pictures are looked at at the resolution that the smallest faces need, large ones in overlapping parts, and again at
-    coarser resolutions for large faces. Finds that are turned or doubtful are looked at again, turned upright; those
-    below the score unless most faces of the picture are upright. Dark pictures are also looked at after they were made
-    brighter.
+    Pictures are looked at at a resolution at which the smallest faces leave at least a doubtful find, large pictures in
+    overlapping parts, and again at coarser resolutions for large faces. Small finds are looked at closer, and those
+    that are turned or doubtful, turned upright; those below the score unless most faces of the picture are upright.
+    Where no face is sure, all this is done again at a finer resolution. Dark pictures are also looked at after they
+    were made brighter.
 
     Attributes:
         search: the smallest face, and the score from which a find is a face.
@@ -113,22 +118,36 @@ class YuNet:
         """The faces in a picture, as in `jaxfit.data.pictures.to_eight_bits`, largest first."""
         image = to_eight_bits(image)
         bgr = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if image.ndim == 2 else cv2.COLOR_RGB2BGR)
-        faces, white = self._faces_in(bgr), float(np.quantile(bgr[::4, ::4], 0.99))
+        faces, white = self._faces_in(bgr), float(np.quantile(bgr[::8, ::8], 0.99))
         if white < _DARK:
             faces += self._faces_in(cv2.convertScaleAbs(bgr, alpha=255 / max(1.0, white)))
         return merged(faces, _SAME)
 
     def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
-        finds = [face for quarters in self._quarters for face in self._seen_from(bgr, quarters)]
-        sure = merged((face for face in finds if face.score >= self._score), _SAME)
-        faces = [self._looked_at_upright(bgr, face) for face in sure]
+        faces = self._seen_at(bgr, _QUICK)
+        return faces if any(face.score >= _SURE for face in faces) else self._seen_at(bgr, _CLEAR)
+
+    def _seen_at(self, bgr: np.ndarray, width: float) -> list[Detection]:
+        """The faces in a picture that is looked at so that the smallest face has this width for the network."""
+        sure, doubtful = self._split(self._finds(bgr, width))
+        finds = merged([*sure, *doubtful[:_MOST_SMALL]], _SAME)
+        clear = self.search.smallest_in(bgr.shape) * _CLOSE / width
+        sure, doubtful = self._split(
+            self._looked_at_closer(bgr, face) if face.box[2:].mean() < clear else face for face in finds
+        )
+        faces = [self._looked_at_upright(bgr, face) for face in merged(sure, _SAME)]
         upright = [self._leaning(face) < _LEANING for face in faces if face.score >= _SURE]
         if not upright or np.mean(upright) <= 0.5:
             # The picture may be turned, and its faces be among the doubtful finds.
-            doubtful = sorted((face for face in finds if face.score < self._score), key=lambda face: face.score)
-            others = [face for face in merged([*sure, *doubtful[-_MOST_DOUBTFUL:]], _SAME) if face.score < self._score]
+            others = self._split(merged([*sure, *doubtful[:_MOST_TURNED]], _SAME))[1]
             faces += [self._looked_at_upright(bgr, face) for face in others]
-        return merged((face for face in faces if face.score >= self._score), _SAME)
+        return merged(self._split(faces)[0], _SAME)
+
+    def _split(self, faces: Iterable[Detection]) -> tuple[list[Detection], list[Detection]]:
+        """Those that have the score from which a find is a face, and the doubtful ones, best first."""
+        ordered = sorted(faces, key=lambda face: face.score, reverse=True)
+        sure = sum(face.score >= self._score for face in ordered)
+        return ordered[:sure], ordered[sure:]
 
     @property
     def _quarters(self) -> range:
@@ -139,29 +158,40 @@ class YuNet:
         """How far a face is turned from where faces are surely found, in degrees."""
         return min(abs((face.rotation - 90 * quarters + 180) % 360 - 180) for quarters in self._quarters)
 
-    def _seen_from(self, bgr: np.ndarray, quarters: int) -> Iterator[Detection]:
-        """What the network finds in a picture that is turned counter-clockwise by so many quarters."""
-        turned = np.ascontiguousarray(np.rot90(bgr, quarters))
-        for part in _parts(turned, self.search.smallest_in(bgr.shape)):
-            for face in self._faces(part):
-                yield turned_back(face, quarters, bgr.shape)
+    def _finds(self, bgr: np.ndarray, width: float) -> Iterator[Detection]:
+        """What the network finds in the picture, and in the picture turned by quarters if any rotation is asked for."""
+        smallest = self.search.smallest_in(bgr.shape)
+        for quarters in self._quarters:
+            turned = np.ascontiguousarray(np.rot90(bgr, quarters))
+            for part in _parts(turned, width / smallest):
+                for face in self._faces(part):
+                    if face.box[2:].mean() >= _LEAST * smallest:
+                        yield turned_back(face, quarters, bgr.shape)
 
     @property
     def _score(self) -> float:
         return _SCORE if self.search.score is None else self.search.score
 
+    def _looked_at_closer(self, bgr: np.ndarray, face: Detection) -> Detection:
+        """A find that is small for the network as it is seen where it is larger; with the score 0 if it is not seen."""
+        quarters = round(face.rotation / 90) if self.search.any_rotation else 0
+        return self._turned(bgr, face, 90.0 * quarters, _CLOSER)[0]
+
     def _looked_at_upright(self, bgr: np.ndarray, face: Detection) -> Detection:
         """A find as it is seen where the picture is turned so that it is upright: the network is less sure of turned
         faces, believes them to be less turned than they are, and draws other boxes around them. Where no face is seen,
         the find stays as it is, with the score 0 if it lies or stands on its head."""
-        if face.score >= _SURE and abs(face.rotation) < _UPRIGHT:
+        upright, sides = abs(face.rotation) < _UPRIGHT, _ALL_SIDES if self.search.any_rotation else _SIDES
+        if face.score >= _SURE and upright:
             return face
-        best, settled = self._turned(bgr, face, face.rotation)
-        if best.score < _SURE:
-            for side in _ALL_SIDES if self.search.any_rotation else _SIDES:
-                other, other_settled = self._turned(bgr, face, side)
-                if other.score > best.score + _BETTER:
-                    best, settled = other, other_settled
+        degrees = face.rotation
+        if face.score < _SURE:
+            small = {turn: self._turned(bgr, face, turn, _CLOSER)[0].score for turn in (face.rotation, *sides)}
+            small[face.rotation] += _BETTER
+            degrees = max(small, key=lambda turn: small[turn])
+        if face.score >= _LIKELY and upright and degrees == face.rotation:
+            return face
+        best, settled = self._turned(bgr, face, degrees)
         for _ in range(_LOOKS):
             if not settled:
                 best, settled = self._turned(bgr, best, best.rotation)
@@ -169,26 +199,30 @@ class YuNet:
             return replace(best, score=max(face.score, best.score))
         return face if abs(face.rotation) < 45 else replace(face, score=0.0)
 
-    def _turned(self, bgr: np.ndarray, face: Detection, degrees: float) -> tuple[Detection, bool]:
+    def _turned(
+        self, bgr: np.ndarray, face: Detection, degrees: float, frame: Frame = _FRAME
+    ) -> tuple[Detection, bool]:
         """A find as it is seen where the picture is turned back by so much, with the score 0 if it is not seen; and
         whether it is upright there, in the middle and of the expected size, so that its box is to be trusted."""
-        crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), _FRAME, math.radians(degrees))
-        seen = [each for each in self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2))) if _in_the_middle(each.box)]
+        crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), frame, math.radians(degrees))
+        finds = self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2)))
+        seen = [each for each in finds if _in_the_middle(each.box, frame)]
         if not seen:
             return replace(face, rotation=degrees, score=0.0), True
         best = max(seen, key=lambda each: each.score)
         middle, sides = to_image(box_centre(best.box), *crop[1:]), best.box[2:] * crop.scale
         box = np.concatenate([middle - sides / 2, sides])
         rotation = (degrees + best.rotation + 180) % 360 - 180
-        settled = abs(best.rotation) < _ENOUGH and _in_the_middle(best.box, 0.2, 1.3)
+        settled = abs(best.rotation) < _ENOUGH and _in_the_middle(best.box, frame, 0.2, 1.3)
         return replace(best, box=box, rotation=rotation), settled
 
     def _faces(self, part: _Part) -> Iterator[Detection]:
-        for values in self._found(part.bgr).astype(np.float64):
-            if np.isfinite(values).all() and min(values[2:4]) > 0:
-                box = np.concatenate([values[:2] / part.scale + part.corner, values[2:4] / part.scale])
-                rotation = _rotation(values[4:14].reshape(5, 2), math.sqrt(values[2] * values[3]))
-                yield Detection(box, KIND, rotation, float(values[14]))
+        found = self._found(part.bgr).astype(np.float64)
+        found = found[np.isfinite(found).all(1) & (found[:, 2:4] > 0).all(1)]
+        boxes = np.hstack([found[:, :2] / part.scale + part.corner, found[:, 2:4] / part.scale])
+        for box, values in zip(boxes, found, strict=True):
+            rotation = _rotation(values[4:14].reshape(5, 2), math.sqrt(values[2] * values[3]))
+            yield Detection(box, KIND, rotation, float(values[14]))
 
     def _found(self, bgr: np.ndarray) -> np.ndarray:
         """A row a face: x, y, width, height, the two eyes, the nose, the corners of the mouth, and the score."""
@@ -205,11 +239,11 @@ class YuNet:
         return np.empty((0, 15), np.float32) if faces is None else faces
 
 
-def _in_the_middle(box: np.ndarray, apart: float = 0.4, times: float = 2.0) -> bool:
+def _in_the_middle(box: np.ndarray, frame: Frame, apart: float = 0.4, times: float = 2.0) -> bool:
     """Whether a box (4,) of a patch is that of the face in its middle: apart by so much of its size, and so many times
     as large or small, at most."""
-    away, ratio = np.abs(box_centre(box) - _FRAME.middle).max(), box[2:].mean() / _FRAME.face
-    return bool(away < apart * _FRAME.face and 1 / times < ratio < times)
+    away, ratio = np.abs(box_centre(box) - frame.middle).max(), box[2:].mean() / frame.face
+    return bool(away < apart * frame.face and 1 / times < ratio < times)
 
 
 def _rotation(points: np.ndarray, size: float) -> float:
@@ -223,9 +257,9 @@ def _rotation(points: np.ndarray, size: float) -> float:
     return (rotation + 180) % 360 - 180
 
 
-def _parts(bgr: np.ndarray, smallest: float) -> Iterator[_Part]:
-    """What the network looks at: the picture at the resolution that the smallest faces need, and coarser ones."""
-    scale, longest = _SEEN / smallest, max(bgr.shape[:2])
+def _parts(bgr: np.ndarray, scale: float) -> Iterator[_Part]:
+    """What the network looks at: the picture at the scale that the smallest faces need, and at coarser ones."""
+    longest = max(bgr.shape[:2])
     while True:
         for top, bottom in _tiles(bgr.shape[0], scale):
             for left, right in _tiles(bgr.shape[1], scale):
@@ -240,7 +274,7 @@ def _part(bgr: np.ndarray, left: int, top: int, right: int, bottom: int, scale: 
     height, width = part.shape[:2]
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     if size != (width, height):
-        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR)
+        part = cv2.resize(part, size, interpolation=cv2.INTER_AREA if scale < 0.5 else cv2.INTER_LINEAR)
     return _Part(np.ascontiguousarray(part), np.array([left, top]), np.array([size[0] / width, size[1] / height]))
 
 

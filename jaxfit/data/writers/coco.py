@@ -33,8 +33,8 @@ def write_keypoints(path: Path, rows: Rows) -> None:
         # Written by hand: as one object, the results of a million pictures would not fit in memory.
         for number, (name, objects) in enumerate(lists.items()):
             file.write(("{" if number == 0 else ",\n") + json.dumps(name) + ": [")
-            for place, told in enumerate(objects):
-                file.write((",\n" if place else "\n") + json.dumps(told))
+            for place, entry in enumerate(objects):
+                file.write((",\n" if place else "\n") + json.dumps(entry))
             file.write("]")
         file.write("}\n")
 

@@ -57,8 +57,8 @@ def read_aflw(folder: str | Path) -> Dataset:
         except DatasetError as error:
             problems.append(str(error))
     if not faces:
-        told = f"first problem: {problems[0]}" if problems else "it lists no faces"
-        raise DatasetError(f"{file}: expected faces with landmarks; {told}")
+        reason = f"first problem: {problems[0]}" if problems else "it lists no faces"
+        raise DatasetError(f"{file}: expected faces with landmarks; {reason}")
     check_pictures(file, faces)
     return Dataset(spec=f"aflw:{folder}", scheme=AFLW21, faces=tuple(faces), problems=tuple(problems))
 

@@ -65,8 +65,8 @@ def read_aflw2000(folder: str | Path, most_degrees: float = _MOST_DEGREES) -> Da
             "(aflw2000-all keeps them)"
         )
     if not faces:
-        told = f"; first problem: {problems[0]}" if problems else ""
-        raise DatasetError(f"{folder}: expected AFLW2000's .mat files, found none that can be used{told}")
+        reason = f"; first problem: {problems[0]}" if problems else ""
+        raise DatasetError(f"{folder}: expected AFLW2000's .mat files, found none that can be used{reason}")
     check_pictures(folder, faces)
     name = "aflw2000" if np.isfinite(most_degrees) else "aflw2000-all"
     return Dataset(f"{name}:{folder}", IBUG68, tuple(faces), tuple(problems))

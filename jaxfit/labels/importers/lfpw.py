@@ -53,8 +53,8 @@ def read_lfpw(file: str | Path) -> Dataset:
         except DatasetError as error:
             problems.append(str(error))
     if not faces:
-        told = f"first problem: {problems[0]}" if problems else "it has no rows"
-        raise DatasetError(f"{file}: expected one face a row; {told}")
+        reason = f"first problem: {problems[0]}" if problems else "it has no rows"
+        raise DatasetError(f"{file}: expected one face a row; {reason}")
     check_pictures(file, faces)
     return Dataset(spec=f"lfpw:{file}", scheme=LFPW29, faces=tuple(faces), problems=tuple(problems))
 
@@ -64,8 +64,8 @@ def _rows(file: Path) -> list[_Row]:
         reader = csv.DictReader(io.StringIO(read_text(file, _MOST_BYTES), newline=""), delimiter="\t")
         missing = [name for name in _COLUMNS if name not in (reader.fieldnames or ())]
         if missing:
-            told = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
-            raise DatasetError(f"{file}: expected LFPW's tab-separated columns; {len(missing)} missing: {told}")
+            reason = ", ".join(missing[:3]) + (", …" if len(missing) > 3 else "")
+            raise DatasetError(f"{file}: expected LFPW's tab-separated columns; {len(missing)} missing: {reason}")
         return [_Row(f"{file}, line {reader.line_num}", reader.line_num, cells) for cells in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DatasetError(f"{file}: expected LFPW's tab-separated annotation file; {error}") from error

@@ -44,8 +44,8 @@ def read_pointing04(folder: str | Path) -> Dataset:
             problems.append(f"{error}; the face stays, without a box")
         faces.append(_record(stem, named, box))
     if not faces:
-        told = f"first problem: {problems[0]}" if problems else "there are none"
-        raise DatasetError(f"{folder}: expected pictures such as Person01/person01146+0-15.jpg; {told}")
+        reason = f"first problem: {problems[0]}" if problems else "there are none"
+        raise DatasetError(f"{folder}: expected pictures such as Person01/person01146+0-15.jpg; {reason}")
     check_pictures(folder, faces)
     return Dataset(f"pointing04:{folder}", NO_LANDMARKS, tuple(faces), tuple(problems))
 

@@ -44,9 +44,9 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if len(pictures.get(path.stem, ())) > 1
     ]
     if not found:
-        told = f"; first problem: {problems[0]}" if problems else ""
+        reason = f"; first problem: {problems[0]}" if problems else ""
         expected = "expected .pts files, each with a picture of the same name beside it"
-        raise DatasetError(f"{folder}: {expected}, found none that can be used{told}")
+        raise DatasetError(f"{folder}: {expected}, found none that can be used{reason}")
     count = Counter(len(landmarks) for landmarks in found.values()).most_common(1)[0][0]
     problems += [
         f"{path}: has {len(landmarks)} points, the folder's other faces have {count}"

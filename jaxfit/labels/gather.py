@@ -1,0 +1,112 @@
+"""Faces to learn from, gathered from several datasets: filled, lifted, and without those that are tested on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
+from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
+from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
+from jaxfit.labels.records import Dataset, FaceRecord, copies_of
+from jaxfit.schemes.scheme import Scheme
+
+
+@dataclass(frozen=True)
+class LabelledFaces:
+    """Faces of one scheme from several datasets.
+
+    Attributes:
+        faces: the faces; some may lack landmarks.
+        scheme: what their landmarks mean.
+        problems: what could not be read or lifted and why, a sentence each.
+        notes: how many faces were lifted, shared and left out, a sentence each.
+    """
+
+    faces: tuple[FaceRecord, ...]
+    scheme: Scheme
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def gather_faces(
+    data: Sequence[str],
+    *,
+    scheme: str | None = None,
+    fill: bool = False,
+    lift: Sequence[str] = (),
+    lift_yaw: float = 0.0,
+    share: Sequence[str] = (),
+    without: Sequence[str] = (),
+    head_model: str | Path = DEFAULT_HEAD_MODEL,
+) -> LabelledFaces:
+    """The faces of datasets, ``FORMAT:PATH`` as in ``jaxfit.read_dataset``, as `jaxfit train` and `finetune` take them.
+
+    A person has the dataset's place in the name, so that people of several datasets are not taken for one.
+
+    Args:
+        data: datasets of one scheme.
+        scheme: name of the scheme that their labels are converted to.
+        fill: give incomplete faces their missing landmarks by the 3D head model (`fill_labels`).
+        lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
+        lift_yaw: of those, only faces turned by so many degrees or more.
+        share: datasets of other landmarks, of which those that both have are taken (`share_labels`).
+        without: datasets to be tested on: faces in their pictures, or in others of the same file names, are left out.
+        head_model: a bundled one's name, or a file.
+
+    Raises:
+        InputError: datasets of several schemes, one that is named twice, or labels that cannot be converted.
+        DatasetError: a dataset cannot be read.
+        ModelError: no such head model.
+    """
+    datasets = read_datasets(data, scheme)
+    target = shared_scheme(datasets)
+    parts = [list(dataset.faces) for dataset in datasets]
+    sources = [_source(dataset) for dataset in datasets]
+    problems = [problem for dataset in datasets for problem in dataset.problems]
+    notes: list[str] = []
+    if fill:
+        head = load_head_model(head_model)
+        filled = [fill_labels(part, target, head) for part in parts]
+        parts = [list(part.faces) for part in filled]
+        problems += [
+            f"{dataset.spec}: {problem}"
+            for dataset, part in zip(datasets, filled, strict=True)
+            for problem in part.problems
+        ]
+    others = [
+        *((dataset, lift_labels, lift_yaw, "lifted to") for dataset in read_datasets(lift)),
+        *((dataset, share_labels, 0.0, "that share points with") for dataset in read_datasets(share)),
+    ]
+    for dataset, through_head, least_yaw, done in others:
+        found = through_head(dataset.faces, dataset.scheme, target, load_head_model(head_model), least_yaw)
+        parts.append(list(found.faces))
+        sources.append(_source(dataset))
+        problems += [*dataset.problems, *(f"{dataset.spec}: {problem}" for problem in found.problems)]
+        notes.append(f"{dataset.spec}: {len(found.faces)} of {len(dataset.faces)} faces {done} {target.name}")
+    for tested in read_datasets(without):
+        parts, note = _without(parts, tested)
+        notes.append(note)
+    # A person of the same name in another dataset is another person, but one of a dataset that is lifted and shared.
+    faces = tuple(
+        replace(face, subject=f"{sources.index(source)}/{face.subject}")
+        for source, part in zip(sources, parts, strict=True)
+        for face in part
+    )
+    return LabelledFaces(faces, target, tuple(problems), tuple(notes))
+
+
+def _source(dataset: Dataset) -> Path:
+    """Where a dataset lies, in whatever format it is read."""
+    return Path(parse_spec(dataset.spec)[2]).resolve()
+
+
+def _without(parts: list[list[FaceRecord]], tested: Dataset) -> tuple[list[list[FaceRecord]], str]:
+    """The faces of several datasets in other pictures than those of a tested one; and how many were left out."""
+    copies: dict[Path, Path] = {}
+    for part in parts:
+        copies |= copies_of([face.image for face in tested.faces], [face.image for face in part])
+    kept = [[face for face in part if face.image not in copies] for part in parts]
+    every, left = (sum(map(len, some)) for some in (parts, kept))
+    elsewhere = [(copy, picture) for copy, picture in copies.items() if copy.resolve() != picture.resolve()]
+    by_name = f"; some by their names, such as {elsewhere[0][0]} for {elsewhere[0][1]}" if elsewhere else ""
+    return kept, f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}"
