@@ -13,8 +13,8 @@ from jaxfit.shapes.camera import ANGLES
 
 # A face as plain JSON values: image, face, size, box, ok, landmarks; confidence, if the model has one; and pose, scale,
 # landmarks_3d and b of 3D models. Lengths are in pixels of the picture. Rows of labels, which only writers of
-# annotations take, may lack size and box; points may be [None, None]; and hidden (a flag a point), pixel and subject may
-# be there.
+# annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and subject may be
+# there.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit

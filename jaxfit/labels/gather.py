@@ -1,13 +1,16 @@
 """Faces to learn from, gathered from several datasets: filled, lifted, and without those that are tested on."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
-from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
+from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets, shared_scheme
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord, copies_of
+from jaxfit.schemes.conversions import convertible
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
 
@@ -31,7 +34,8 @@ class LabelledFaces:
 def gather_faces(
     data: Sequence[str],
     *,
-    scheme: str | None = None,
+    scheme: str | Mapping[str, Any] | None = None,
+    scheme_of_model: Scheme | None = None,
     fill: bool = False,
     lift: Sequence[str] = (),
     lift_yaw: float = 0.0,
@@ -45,7 +49,9 @@ def gather_faces(
 
     Args:
         data: datasets of one scheme.
-        scheme: name of the scheme that their labels are converted to.
+        scheme: the scheme that their labels are converted to, as ``--scheme`` takes it.
+        scheme_of_model: what the landmarks of the model to learn mean; without ``scheme``, labels of as many points that
+            are of no known scheme are taken for these.
         fill: give incomplete faces their missing landmarks by the 3D head model (`fill_labels`).
         lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
         lift_yaw: of those, only faces turned by so many degrees or more.
@@ -59,6 +65,8 @@ def gather_faces(
         ModelError: no such head model.
     """
     datasets = read_datasets(data, scheme)
+    if scheme_of_model is not None and scheme is None:
+        datasets = [_taken_for(scheme_of_model, dataset) for dataset in datasets]
     target = shared_scheme(datasets)
     parts = [list(dataset.faces) for dataset in datasets]
     sources = [_source(dataset) for dataset in datasets]
@@ -93,6 +101,13 @@ def gather_faces(
         for face in part
     )
     return LabelledFaces(faces, target, tuple(problems), tuple(notes))
+
+
+def _taken_for(scheme: Scheme, dataset: Dataset) -> Dataset:
+    """The dataset in a scheme, unless its labels are of a known one, or cannot be of this."""
+    if dataset.scheme.name in SCHEMES or not convertible(dataset.scheme, scheme):
+        return dataset
+    return convert_dataset(dataset, scheme)
 
 
 def _source(dataset: Dataset) -> Path:
