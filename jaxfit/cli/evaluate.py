@@ -163,12 +163,11 @@ def _print_tables(results: Mapping[str, Evaluation], solid: bool) -> None:
 def _distances_in_words(result: Evaluation) -> Iterator[tuple[str, str]]:
     """The distances of fitted faces' landmarks from the true ones, by their unit."""
     report = distances_report(result)
-    for unit, of_unit in (("pixels", report.get("pixels")), (report.get("units", {}).get("unit"), report.get("units"))):
+    units = report.get("units", {})
+    for unit, of_unit in (("pixels", report.get("pixels")), (units.get("unit", ""), units)):
         if of_unit:
-            yield (
-                unit,
-                f"mean {of_unit['mean']:.3g}, median {of_unit['median']:.3g}, 90 % below {of_unit['ninety_percent']:.3g}",
-            )
+            mean, median, high = (of_unit[name] for name in ("mean", "median", "ninety_percent"))
+            yield unit, f"mean {mean:.3g}, median {median:.3g}, 90 % below {high:.3g}"
 
 
 def _row(spec: str, result: Evaluation) -> dict[str, object]:

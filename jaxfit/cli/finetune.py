@@ -85,7 +85,8 @@ def run(options: argparse.Namespace) -> int:
     found = read_faces(options, model.scheme)
     if found.scheme != model.scheme:
         raise InputError(
-            f"{options.model} has the landmarks {described(model.scheme)}; --data has {described(found.scheme)}: convert them with "
+            f"{options.model} has the landmarks {described(model.scheme)}; --data has {described(found.scheme)}: "
+            "convert them with "
             f"--scheme {model.scheme.name} (from ibug68), or give them as --share beside others"
         )
     if options.confidence:

@@ -46,7 +46,8 @@ class EvaluationRun:
         boxes: a CSV file of face boxes, as in ``jaxfit.FolderRun``.
         box_kind: what drew those boxes; None takes what the file says.
         seed: of how the squares are moved.
-        scheme: the landmark scheme that labels are converted to, as ``--scheme`` takes it; None: the model's where that is possible.
+        scheme: the landmark scheme that labels are converted to, as ``--scheme`` takes it; None: the model's where that
+            is possible.
         normaliser: what errors are relative to, as in ``jaxfit.evaluate``.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
     """

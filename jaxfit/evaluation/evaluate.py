@@ -65,10 +65,7 @@ class Evaluation:
     @property
     def distances(self) -> np.ndarray:
         """(N, L) distances of fitted landmarks from the true ones, in pixels; NaN without a fit or annotation."""
-        truth = [
-            face.landmarks if len(face.landmarks) else np.full((self.scheme.count, 2), np.nan) for face in self.faces
-        ]
-        return distance(self.landmarks, annotated(np.array(truth).reshape(-1, self.scheme.count, 2)))
+        return distance(self.landmarks, annotated(_truth(self.faces, self.scheme)))
 
     @property
     def true_pose(self) -> np.ndarray:
@@ -289,9 +286,7 @@ def measure(
     require_measurable(fits.scheme, scheme, normaliser, faces)
     if len(fits) != len(faces):
         raise InputError(f"expected a fit for each of {len(faces)} faces; got {len(fits)}")
-    unknown = np.full((scheme.count, 2), np.nan)
-    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
-    truth = truth.reshape(-1, scheme.count, 2)
+    truth = _truth(faces, scheme)
     errors_3d = None
     if fits.landmarks_3d is not None:
         found = convert(fits.landmarks_3d, fits.scheme, scheme)
@@ -306,6 +301,13 @@ def measure(
         seconds_per_face=seconds_per_face,
         learned=learned,
     )
+
+
+def _truth(faces: Sequence[FaceRecord], scheme: Scheme) -> np.ndarray:
+    """The labels (N, L, 2); NaN of faces without landmarks."""
+    unknown = np.full((scheme.count, 2), np.nan)
+    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
+    return truth.reshape(-1, scheme.count, 2)
 
 
 def _truth_3d(model: Model | None, scheme: Scheme, truth: np.ndarray) -> np.ndarray:

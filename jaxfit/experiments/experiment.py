@@ -25,6 +25,7 @@ from jaxfit.learning.placements import CALIBRATED
 from jaxfit.models.files import load, save
 from jaxfit.models.model import Model
 from jaxfit.schemes.known import NO_LANDMARKS
+from jaxfit.schemes.normalisers import normaliser_length
 from jaxfit.schemes.own import scheme_text
 from jaxfit.schemes.scheme import Scheme
 
@@ -121,6 +122,8 @@ class Experiment:
     def _read(self, plan: DatasetPlan) -> DatasetFaces:
         datasets = read_datasets(plan.data, plan.scheme)
         scheme = shared_scheme(datasets)
+        # Before the work: not all schemes have all normalisers.
+        normaliser_length(np.empty((0, scheme.count, 2)), scheme, self.config.normaliser)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
         # By the folder's name alone, so that folds do not depend on where the data lie.
         names = folder_names([parse_spec(dataset.spec).path for dataset, _ in complete])

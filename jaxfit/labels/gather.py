@@ -50,8 +50,8 @@ def gather_faces(
     Args:
         data: datasets of one scheme.
         scheme: the scheme that their labels are converted to, as ``--scheme`` takes it.
-        scheme_of_model: what the landmarks of the model to learn mean; without ``scheme``, labels of as many points that
-            are of no known scheme are taken for these.
+        scheme_of_model: what the landmarks of the model to learn mean; without ``scheme``, labels of as many points
+            that are of no known scheme are taken for these.
         fill: give incomplete faces their missing landmarks by the 3D head model (`fill_labels`).
         lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
         lift_yaw: of those, only faces turned by so many degrees or more.

@@ -6,7 +6,6 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
-from jaxfit.data.names import unique_names
 from jaxfit.data.pictures import picture_size
 from jaxfit.data.rows import PIXEL, Row, Rows, rounded
 from jaxfit.data.writers.annotations import ANNOTATION_FORMATS, relative_to
@@ -94,13 +93,12 @@ def _lost(faces: list[FaceRecord], keeps: frozenset[str], format: str) -> Iterat
 
 def _one_a_picture(faces: list[FaceRecord]) -> tuple[list[FaceRecord], list[str]]:
     """The first object of each picture, called like it, as ``.pts`` files are."""
-    first: dict[Path, FaceRecord] = {}
+    first: dict[str, FaceRecord] = {}
     problems = []
     for face in faces:
-        if first.setdefault(face.image, face) is not face:
+        if first.setdefault(face.image.stem, face) is not face:
             problems.append(f"{face.image}: a .pts file holds one object; {face.face} is left out")
-    names = unique_names(first)
-    return [replace(face, face=name) for face, name in zip(first.values(), names, strict=True)], problems
+    return [replace(face, face=name) for name, face in first.items()], problems
 
 
 def _row(face: FaceRecord) -> Row:

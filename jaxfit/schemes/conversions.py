@@ -46,8 +46,8 @@ def sources(source: Scheme, target: Scheme) -> Sources:
     if found is None:
         known = ", ".join(" to ".join(names) for names in CONVERSIONS)
         raise InputError(
-            f"cannot convert landmarks from {described(source)} to {described(target)}: expected the same names or "
-            f"numbers of points, or one of the known conversions {known}"
+            f"cannot convert landmarks from {described(source)} to {described(target)}; known conversions: {known}; "
+            "schemes of your own need points of the same names, or as many"
         )
     return found
 

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 from jaxfit.errors import InputError
 from jaxfit.schemes.known import NO_LANDMARKS, SCHEMES, scheme_named
@@ -91,17 +91,21 @@ def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
     name, points, normaliser = values.get("name"), values.get("points"), values.get("normaliser")
     if name is not None:
         _require("name", name, _is_name(name) and name not in {*SCHEMES, NO_LANDMARKS.name}, "a new name")
-    numbered = isinstance(points, int) and not isinstance(points, bool) and 0 < points < 1_000_000
-    named = isinstance(points, list) and bool(points) and all(map(_is_name, points))
-    _require("points", points, points is None or numbered or named, "names of points, or how many there are")
-    if named:
+    names, count = None, None
+    if isinstance(points, list):
+        _require("points", points, bool(points) and all(map(_is_name, points)), "names of points")
         _require("points", points, len({*points}) == len(points), "different names")
+        names, count = tuple(points), len(points)
+    elif points is not None:
+        whole = isinstance(points, int) and not isinstance(points, bool) and 0 < points < 1_000_000
+        _require("points", points, whole, "names of points, or how many there are")
+        count = points
     usual = isinstance(normaliser, str) and normaliser in NORMALISERS and NORMALISERS[normaliser].ends is None
-    pair = _are_points(normaliser) and len(normaliser) == 2
-    _require("normaliser", normaliser, normaliser is None or usual or pair, '"box", "size", or two points')
+    pair = tuple(normaliser) if _are_points(normaliser, 2) else None
+    _require("normaliser", normaliser, normaliser is None or usual or pair is not None, '"box", "size", or two points')
     mirror = values.get("mirror")
     if mirror is not None:
-        good = isinstance(mirror, list) and all(_are_points(pair) and len(pair) == 2 for pair in mirror)
+        good = isinstance(mirror, list) and all(_are_points(each, 2) for each in mirror)
         _require("mirror", mirror, good, "pairs of points, as [[1, 4], [2, 3]]")
         paired = [point for pair in mirror for point in pair]
         _require("mirror", mirror, len({*paired}) == len(paired), "each point in one pair")
@@ -114,11 +118,11 @@ def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
     _require("scale", scale, scale is None or number, "the length of a pixel in units, above 0")
     return OwnScheme(
         name=name,
-        names=tuple(points) if named else None,
-        count=len(points) if named else points,
+        names=names,
+        count=count,
         mirror=None if mirror is None else tuple(map(tuple, mirror)),
         lines=None if lines is None else tuple(map(tuple, lines)),
-        normaliser=tuple(normaliser) if pair else normaliser,
+        normaliser=normaliser if pair is None else pair,
         unit=unit,
         scale=None if scale is None else float(scale),
     )
@@ -191,10 +195,11 @@ def _is_name(value: object) -> bool:
     return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable() and value == value.strip()
 
 
-def _are_points(value: object) -> bool:
+def _are_points(value: object, count: int | None = None) -> TypeGuard[list[str | int]]:
     return (
         isinstance(value, list)
         and bool(value)
+        and (count is None or len(value) == count)
         and all(_is_name(point) or (isinstance(point, int) and not isinstance(point, bool)) for point in value)
     )
 

@@ -15,7 +15,6 @@ from jaxfit.data.outputs import atomic_write, write_csv
 from jaxfit.data.rows import PIXEL, Row, Rows
 from jaxfit.data.writers.coco import write_keypoints
 from jaxfit.data.writers.pts_files import write_pts_into
-from jaxfit.data.writers.writer import Writer
 
 _SIDES = ("x", "y", "width", "height")
 
@@ -142,7 +141,7 @@ def relative_to(folder: Path, rows: Rows) -> Rows:
     return replace(rows, begin=lambda: map(named, rows.begin()))
 
 
-def _results(write: Callable[[Path, Rows], None], name: str) -> Writer:
+def _results(write: Callable[[Path, Rows], None], name: str) -> Callable[[Path, Rows], list[str]]:
     def write_results(folder: Path, rows: Rows) -> list[str]:
         write(folder / name, relative_to(folder, rows))
         return [name]

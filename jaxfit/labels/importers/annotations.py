@@ -121,8 +121,8 @@ class PicturesBeside:
         # Names that are no text are spelled otherwise in files.
         for folder in dict.fromkeys([(self._folder / name).parent, self._folder]):
             for spelled in dict.fromkeys([PurePosixPath(name).name, last]):
-                if path := self._by_spelling(folder).get(spelled):
-                    return path
+                if found := self._by_spelling(folder).get(spelled):
+                    return found
         return self._folder / name
 
     @cached_property
@@ -225,7 +225,8 @@ def _flipped(faces: Sequence[FaceRecord], stored: bool) -> tuple[list[FaceRecord
     """Faces whose y counts from the bottom of their pictures, with y that counts from the top."""
     turned = turned_pictures(face.image for face in faces) if stored else {}
     heights: dict[Path, int | str] = {}
-    flipped, problems = [], []
+    flipped: list[FaceRecord] = []
+    problems: list[str] = []
     for face in faces:
         if face.image not in heights:
             try:
@@ -233,11 +234,11 @@ def _flipped(faces: Sequence[FaceRecord], stored: bool) -> tuple[list[FaceRecord
                 heights[face.image] = width if turned.get(face.image) in SIDEWAYS else height
             except ImageError as error:
                 heights[face.image] = f"{error}: without its height, from which y counts, its labels are left out"
-        height = heights[face.image]
-        if isinstance(height, str):
-            problems.append(height)
-            continue
-        flipped.append(replace(face, landmarks=upside_down(face.landmarks, height)))
+        known = heights[face.image]
+        if isinstance(known, str):
+            problems.append(known)
+        else:
+            flipped.append(replace(face, landmarks=upside_down(face.landmarks, known)))
     return flipped, list(dict.fromkeys(problems))
 
 
