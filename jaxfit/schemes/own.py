@@ -66,7 +66,7 @@ class OwnScheme:
         if isinstance(self.normaliser, tuple):
             one, other = map(index, self.normaliser)
             ends = (one, other)
-        lines = labels.lines if self.lines is None and count == labels.count else self.lines or ()
+        lines = labels.lines if count == labels.count else ()
         return Scheme(
             name=self.name or f"points{count}",
             count=count,
