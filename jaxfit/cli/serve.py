@@ -9,6 +9,7 @@ from typing import TypeVar
 from jaxfit.cli.progress import say
 from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
+from jaxfit.fitting.pipeline import usual_detector
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
 
@@ -43,8 +44,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     models = options.model or sorted(bundled(), key=lambda name: name != DEFAULT_MODEL)
-    detectors = options.detector or [name for name, entry in DETECTORS.items() if entry.installed]
-    service = Service(_by_name(models, load, _model_name), _by_name(detectors, detector_named, _detector_name))
+    loaded = _by_name(models, load, _model_name)
+    usual = usual_detector(next(iter(loaded.values())))  # what the page begins with suits the first model
+    installed = (name for name, entry in DETECTORS.items() if entry.installed)
+    detectors = options.detector or sorted(installed, key=lambda name: name != usual)
+    service = Service(loaded, _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
         try:
             say(f"jaxfit is at {server.address} (Ctrl-C ends it)", flush=True)
