@@ -165,14 +165,11 @@ def test_schemes_of_ones_own(tmp_path, loaded):
     save(original, tmp_path / "a.safetensors")
     assert load(tmp_path / "a.safetensors").scheme == original.scheme
     data = (tmp_path / "a.safetensors").read_bytes()
-    for key, value in {
-        "names": ["tip"],
-        "lines": [[0, 7]],
-        "count": 3,
-        "name": "ibug68",
-        "normaliser": "outer",
-    }.items():
-        assert isinstance(loaded(repacked(data, lambda header: header["scheme"].update({key: value}))), str), key
+    damage = {"names": ["tip"], "lines": [[0, 7]], "count": 3, "name": "ibug68", "normaliser": "outer"}
+    for key, value in damage.items():
+        change = partial(dict.update, **{key: value})
+        outcome = loaded(repacked(data, lambda header, change=change: change(header["scheme"])))
+        assert isinstance(outcome, str), key
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path):
