@@ -201,7 +201,7 @@ def _for_model(model: Model, dataset: Dataset, notes: list[str]) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is noted; else as it is."""
     if not convertible(dataset.scheme, model.scheme):
         return dataset
-    if dataset.scheme.name in SCHEMES:
+    if {dataset.scheme.name, model.scheme.name} & SCHEMES.keys():
         notes.append(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
     return convert_dataset(dataset, model.scheme)
 

@@ -64,14 +64,14 @@ def gather_faces(
         DatasetError: a dataset cannot be read.
         ModelError: no such head model.
     """
+    notes: list[str] = []
     datasets = read_datasets(data, scheme)
     if scheme_of_model is not None and scheme is None:
-        datasets = [_taken_for(scheme_of_model, dataset) for dataset in datasets]
+        datasets = [_taken_for(scheme_of_model, dataset, notes) for dataset in datasets]
     target = shared_scheme(datasets)
     parts = [list(dataset.faces) for dataset in datasets]
     sources = [_source(dataset) for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
-    notes: list[str] = []
     if fill:
         head = load_head_model(head_model)
         filled = [fill_labels(part, target, head) for part in parts]
@@ -103,10 +103,12 @@ def gather_faces(
     return LabelledFaces(faces, target, tuple(problems), tuple(notes))
 
 
-def _taken_for(scheme: Scheme, dataset: Dataset) -> Dataset:
-    """The dataset in a scheme, unless its labels are of a known one, or cannot be of this."""
+def _taken_for(scheme: Scheme, dataset: Dataset, notes: list[str]) -> Dataset:
+    """The dataset in a scheme, unless its labels are of a known one, or cannot be of this; a known one is noted."""
     if dataset.scheme.name in SCHEMES or not convertible(dataset.scheme, scheme):
         return dataset
+    if scheme.name in SCHEMES:
+        notes.append(f"{dataset.spec}: labels taken for the model's {scheme.name}")
     return convert_dataset(dataset, scheme)
 
 

@@ -44,7 +44,7 @@ def _centroid_size(points: np.ndarray) -> np.ndarray:
     kept = np.where(known[..., None], points, 0.0)
     centroid = kept.sum(-2) / count[..., None]
     squares = np.where(known, ((kept - centroid[..., None, :]) ** 2).sum(-1), 0.0)
-    return np.sqrt(squares.sum(-1) / count * points.shape[-2])
+    return np.asarray(np.sqrt(squares.sum(-1) / count * points.shape[-2]))
 
 
 # By the names that the command line knows; a new one is a line here. The distance of the outer eye corners is our
