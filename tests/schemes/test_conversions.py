@@ -5,8 +5,8 @@ import pytest
 from jax import numpy as jnp
 
 from jaxfit.errors import InputError
-from jaxfit.labels.datasets import convert
-from jaxfit.schemes.conversions import CONVERSIONS, convert, sources
+from jaxfit.labels.datasets import convert_dataset
+from jaxfit.schemes.conversions import CONVERSIONS, convert, convertible, sources
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW27_NAMES, LFPW29, LFPW29_NAMES, SCHEMES, scheme_named
 from jaxfit.schemes.scheme import Scheme, mirrored
 from jaxfit.shapes.procrustes import generalised_procrustes
