@@ -78,7 +78,9 @@ def parse_spec(spec: str) -> Spec:
     name, _, path = spec.partition(":")
     known = re.fullmatch(r"(.+?)(@stored)?([+-][0-9]*\.?[0-9]+)?", name)
     if not known or known[1] not in FORMATS or not path:
-        if of_suffix := _SUFFIXES.get(Path(spec).suffix.lower()):
+        # A letter and a colon are a drive of Windows; a longer word is a format that does not exist.
+        of_suffix = _SUFFIXES.get(Path(spec).suffix.lower())
+        if of_suffix and (":" not in spec or len(name) == 1 or Path(spec).exists()):
             return Spec(of_suffix, 0.0, spec, False)
         raise InputError(
             f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}, or a file that ends in "

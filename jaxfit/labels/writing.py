@@ -24,10 +24,10 @@ def parse_target(text: str) -> tuple[str, Path]:
     name, _, path = text.partition(":")
     if name in ANNOTATION_FORMATS and path:
         return name, Path(path)
-    # Of several formats of a suffix, the first.
-    for name, format in ANNOTATION_FORMATS.items():
-        if format.suffix and Path(text).suffix.lower() == format.suffix:
-            return name, Path(text)
+    # Of several formats of a suffix, the first. A letter and a colon are a drive of Windows.
+    for known, format in ANNOTATION_FORMATS.items():
+        if format.suffix and Path(text).suffix.lower() == format.suffix and (":" not in text or len(name) == 1):
+            return known, Path(text)
     suffixes = dict.fromkeys(format.suffix for format in ANNOTATION_FORMATS.values() if format.suffix)
     raise InputError(
         f"expected FORMAT:PATH with FORMAT one of {', '.join(ANNOTATION_FORMATS)}, or a file that ends in "

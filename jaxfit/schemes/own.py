@@ -8,10 +8,9 @@ from typing import Any, TypeGuard
 from jaxfit.errors import InputError
 from jaxfit.schemes.known import NO_LANDMARKS, SCHEMES, scheme_named
 from jaxfit.schemes.normalisers import NORMALISERS
-from jaxfit.schemes.scheme import Scheme
+from jaxfit.schemes.scheme import Scheme, is_name
 
 _KEYS = ("name", "points", "mirror", "lines", "normaliser", "unit", "scale")
-_LONGEST = 100  # letters of a name
 
 
 @dataclass(frozen=True)
@@ -90,10 +89,10 @@ def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
         raise InputError(f"scheme: unknown key {unknown[0]!r}; expected some of {', '.join(_KEYS)}")
     name, points, normaliser = values.get("name"), values.get("points"), values.get("normaliser")
     if name is not None:
-        _require("name", name, _is_name(name) and name not in {*SCHEMES, NO_LANDMARKS.name}, "a new name")
+        _require("name", name, is_name(name) and name not in {*SCHEMES, NO_LANDMARKS.name}, "a new name")
     names, count = None, None
     if isinstance(points, list):
-        _require("points", points, bool(points) and all(map(_is_name, points)), "names of points")
+        _require("points", points, bool(points) and all(map(is_name, points)), "names of points")
         _require("points", points, len({*points}) == len(points), "different names")
         names, count = tuple(points), len(points)
     elif points is not None:
@@ -113,7 +112,7 @@ def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
     if lines is not None:
         _require("lines", lines, isinstance(lines, list) and all(map(_are_points, lines)), "lists of points")
     unit, scale = values.get("unit", ""), values.get("scale")
-    _require("unit", unit, unit == "" or _is_name(unit), "a word")
+    _require("unit", unit, unit == "" or is_name(unit), "a word")
     number = isinstance(scale, int | float) and not isinstance(scale, bool) and 0 < scale < 1e12
     _require("scale", scale, scale is None or number, "the length of a pixel in units, above 0")
     return OwnScheme(
@@ -156,9 +155,9 @@ def scheme_of_json(value: object) -> Scheme:
     if not isinstance(value, dict):
         return scheme_named(str(value))
     names, unit, normaliser = tuple(value["names"]), value["unit"], value["normaliser"]
-    if not (_is_name(value["name"]) and value["name"] not in SCHEMES and all(map(_is_name, names))):
+    if not (is_name(value["name"]) and value["name"] not in SCHEMES and all(map(is_name, names))):
         raise InputError(f"expected the name of a scheme of one's own, and of its points; got {value['name']!r}")
-    if not (isinstance(value["count"], int) and (unit == "" or _is_name(unit)) and normaliser in (None, *NORMALISERS)):
+    if not (isinstance(value["count"], int) and (unit == "" or is_name(unit)) and normaliser in (None, *NORMALISERS)):
         raise InputError(f"expected a scheme of one's own; got {value!r}")
     ends = None if value["ends"] is None else (int(value["ends"][0]), int(value["ends"][1]))
     scheme = Scheme(
@@ -191,16 +190,12 @@ def read_scheme_text(text: str) -> Scheme:
     return scheme_of_json(json.loads(text) if text.startswith("{") else text)
 
 
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= _LONGEST and value.isprintable() and value == value.strip()
-
-
 def _are_points(value: object, count: int | None = None) -> TypeGuard[list[str | int]]:
     return (
         isinstance(value, list)
         and bool(value)
         and (count is None or len(value) == count)
-        and all(_is_name(point) or (isinstance(point, int) and not isinstance(point, bool)) for point in value)
+        and all(is_name(point) or (isinstance(point, int) and not isinstance(point, bool)) for point in value)
     )
 
 
@@ -210,5 +205,7 @@ def _require(key: str, value: object, good: bool, expected: str) -> None:
 
 
 def numbered(names: Sequence[str]) -> bool:
-    """Whether names of points are only their numbers, from 0 or 1, in their order."""
-    return any(list(names) == [f"{first + n:0{len(names[0])}d}" for n in range(len(names))] for first in (0, 1))
+    """Whether names of points are only their numbers, from 0 or 1, in their order; also if there are none."""
+    return not names or any(
+        list(names) == [f"{first + n:0{len(names[0])}d}" for n in range(len(names))] for first in (0, 1)
+    )

@@ -10,6 +10,13 @@ import numpy as np
 
 from jaxfit.errors import InputError
 
+LONGEST = 100  # letters of a name
+
+
+def is_name(value: object) -> bool:
+    """Whether a value is a text that can be a name in files, tables and messages."""
+    return isinstance(value, str) and 0 < len(value) <= LONGEST and value.isprintable() and value == value.strip()
+
 
 @dataclass(frozen=True)
 class Scheme:
@@ -51,6 +58,10 @@ class Scheme:
             raise InputError(f"scheme {self.name}: expected each of {self.count} points in one mirror pair at most")
         if self.names and not (len(self.names) == len({*self.names}) == self.count):
             raise InputError(f"scheme {self.name}: expected {self.count} different names of points")
+        if odd := next((name for name in self.names if not is_name(name)), None):
+            raise InputError(
+                f"scheme {self.name}: expected names of points that can be printed, of up to {LONGEST} letters; got {odd!r}"
+            )
         if self.ends is not None and self.ends[0] == self.ends[1]:
             raise InputError(f"scheme {self.name}: expected two different points as ends")
 

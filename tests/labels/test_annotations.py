@@ -154,6 +154,17 @@ BOMB = (
         ("csv", "image,x1,y1,x3,y3\na.png,1,2,3,4\n", "numbered one after the other"),
         ("csv", "image,x1,y1,x1\na.png,1,2,3\n", "x1 come twice"),
         ("ml-morph", "id,X1\na.png,1\n", "expected the columns id,X1,Y1"),
+        (
+            "coco",
+            coco([{}], keypoints=["a\n", "b"]),
+            "categories, wing: .* expected names of points that can be printed",
+        ),
+        ("csv", f"image,{'n' * 101}_x,{'n' * 101}_y\na.png,1,2\n", "l.csv: scheme .* of up to 100 letters"),
+        (
+            "imglab",
+            f"<dataset><image file='a.png'>{BOX}<part name=' a' x='1' y='2'/></box></image></dataset>",
+            "l.xml: scheme .* names of points that can be printed",
+        ),
     ],
 )
 def test_files_that_are_no_such_labels(name: str, text: str, message: str, tmp_path: Path) -> None:

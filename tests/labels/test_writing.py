@@ -184,6 +184,6 @@ def test_targets() -> None:
     assert parse_target("l.TPS") == ("tps", Path("l.TPS"))
     assert parse_target("ml-morph:l.csv") == ("ml-morph", Path("l.csv"))
     assert parse_target("pts:folder") == ("pts", Path("folder"))
-    for text in ("folder", "tps:", "what:l", "l.txt"):
+    for text in ("folder", "tps:", "what:l", "what:l.tps", "l.txt"):
         with pytest.raises(InputError, match="expected FORMAT:PATH"):
             parse_target(text)

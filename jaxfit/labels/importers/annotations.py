@@ -14,10 +14,11 @@ from jaxfit.data.inputs import read_text
 from jaxfit.data.names import plain
 from jaxfit.data.numbers import number
 from jaxfit.data.pictures import picture_size
-from jaxfit.errors import DatasetError, ImageError
+from jaxfit.errors import DatasetError, ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
 from jaxfit.labels.turned import turned_pictures
 from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.own import numbered
 from jaxfit.schemes.scheme import Scheme
 
 MOST_BYTES = 1 << 30  # of a file of annotations: some hundred thousand objects
@@ -71,6 +72,18 @@ def given_scale(value: float | None, where: str, problems: list[str]) -> float |
         problems.append(f"{where}: expected a scale above 0; got {value:g}: it is left out")
         return None
     return float(value)
+
+
+def named_scheme(file: Path, names: Sequence[str]) -> Scheme:
+    """The scheme of points that a file names; of points that it only numbers, names are none.
+
+    Raises:
+        DatasetError: they cannot be names.
+    """
+    try:
+        return Scheme(f"points{len(names)}", len(names), names=() if numbered(names) else tuple(names))
+    except InputError as error:
+        raise DatasetError(f"{file}: {error}") from None
 
 
 def annotation_text(file: Path, kind: str) -> str:

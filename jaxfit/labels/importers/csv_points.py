@@ -9,9 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from jaxfit.errors import DatasetError
-from jaxfit.labels.importers.annotations import Annotation, annotation_text, coordinate, dataset_of, given_scale
+from jaxfit.labels.importers.annotations import (
+    Annotation,
+    annotation_text,
+    coordinate,
+    dataset_of,
+    given_scale,
+    named_scheme,
+)
 from jaxfit.labels.records import Dataset
-from jaxfit.schemes.scheme import Scheme
+from jaxfit.schemes.known import scheme_named
 
 _BOX = ("x", "y", "width", "height")
 # What else `jaxfit fit` writes, which is about fits and not about labels.
@@ -54,7 +61,7 @@ def read_csv_points(file: str | Path) -> Dataset:
             annotations.append(_wide(where, row, columns, boxed, problems))
         except DatasetError as error:
             problems.append(f"{where}: {error}")
-    scheme = Scheme(f"points{len(columns)}", len(columns), names=names)
+    scheme = named_scheme(file, names) if names else scheme_named(f"points{len(columns)}")
     return dataset_of(f"csv:{file}", file, annotations, problems, scheme=scheme)
 
 

@@ -10,10 +10,8 @@ import numpy as np
 from jaxfit.data.inputs import read_regular
 from jaxfit.data.numbers import number
 from jaxfit.errors import DatasetError
-from jaxfit.labels.importers.annotations import MOST_BYTES, Annotation, dataset_of
+from jaxfit.labels.importers.annotations import MOST_BYTES, Annotation, dataset_of, named_scheme
 from jaxfit.labels.records import Dataset
-from jaxfit.schemes.own import numbered
-from jaxfit.schemes.scheme import Scheme
 
 _DEEPEST = 100  # elements in one another; imglab's are five
 _MOST_PARTS = 100_000
@@ -108,9 +106,9 @@ def read_imglab(file: str | Path) -> Dataset:
             annotations.append(_annotation(box, places))
         except DatasetError as error:
             problems.append(str(error))
-    scheme = Scheme(f"points{len(names)}", len(names), names=() if numbered(names) else tuple(names))
     if not names:
         raise DatasetError(f"{file}: expected boxes with parts, <part name='...' x='...' y='...'/>; got none")
+    scheme = named_scheme(file, names)
     return dataset_of(f"imglab:{file}", file, annotations, problems, scheme=scheme)
 
 
