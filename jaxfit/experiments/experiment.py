@@ -269,5 +269,5 @@ def _aligned_pose(faces: DatasetFaces) -> np.ndarray:
 
 
 def _without_folders(spec: str) -> str:
-    form, colon, path = spec.rpartition(":")
-    return f"{form}{colon}{Path(path).name}"
+    form, colon, path = spec.partition(":")
+    return f"{form}:{Path(path).name}" if colon else Path(spec).name

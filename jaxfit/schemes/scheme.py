@@ -60,7 +60,8 @@ class Scheme:
             raise InputError(f"scheme {self.name}: expected {self.count} different names of points")
         if odd := next((name for name in self.names if not is_name(name)), None):
             raise InputError(
-                f"scheme {self.name}: expected names of points that can be printed, of up to {LONGEST} letters; got {odd!r}"
+                f"scheme {self.name}: expected names of points that can be printed, of up to {LONGEST} letters; "
+                f"got {odd!r}"
             )
         if self.ends is not None and self.ends[0] == self.ends[1]:
             raise InputError(f"scheme {self.name}: expected two different points as ends")

@@ -157,7 +157,7 @@ BOMB = (
         (
             "coco",
             coco([{}], keypoints=["a\n", "b"]),
-            "categories, wing: .* expected names of points that can be printed",
+            "wing: .* names of points that can be printed",
         ),
         ("csv", f"image,{'n' * 101}_x,{'n' * 101}_y\na.png,1,2\n", "l.csv: scheme .* of up to 100 letters"),
         (
