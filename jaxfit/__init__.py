@@ -14,6 +14,11 @@ What most people need is here; the rest lies in namespaces: ``jaxfit.cascade`` (
 
 __version__ = "0.2.0"
 
+from jaxfit.environment import require_importable_jax
+
+require_importable_jax()
+
+# ruff: noqa: E402 - what imports JAX comes after it
 from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
 from jaxfit.cascade import Greedy, Starts, Tuning
 from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_image

@@ -7,6 +7,7 @@ followed: arrays of float32 stay so under ``jax_enable_x64``, and no types are m
 """
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -14,12 +15,25 @@ from typing import ParamSpec, TypeVar
 
 import jax
 
+from jaxfit.environment import jax_settings
 from jaxfit.errors import InputError, ProcessError
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# The process that has computed first, in this one or in one that this one was forked from.
+# The process that has computed first: this one or one that this one was forked from.
 _first: int | None = None
+
+
+def _note_before_fork() -> None:
+    """Remember that JAX has computed in this process, if only for others, before it is forked."""
+    global _first
+    # JAX has no public way to ask; without this one, only what jaxfit itself has computed is known.
+    if _first is None and getattr(sys.modules.get("jax._src.xla_bridge"), "_backends", None):
+        _first = os.getpid()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_note_before_fork)
 
 
 def require_jax() -> None:
@@ -36,7 +50,7 @@ def require_jax() -> None:
         _first = os.getpid()
     elif _first != os.getpid():
         raise ProcessError(
-            "this process was forked from one that has computed with jaxfit, and JAX would hang in it; start processes "
+            "this process was forked from one that has computed with JAX, and JAX would hang in it; start processes "
             'by spawn: multiprocessing.get_context("spawn"), or DataLoader(..., multiprocessing_context="spawn"), or '
             "load models and fit in the new processes only"
         )
@@ -48,6 +62,10 @@ def _require_device() -> None:
         jax.local_devices()
     except Exception as error:  # which one depends on the platform
         reason = str(error).partition("(set JAX_PLATFORMS")[0].strip() or type(error).__name__
+        if not platforms:
+            raise InputError(
+                f"JAX cannot compute here: {reason}; {jax_settings()}: correct them, or unset them"
+            ) from None
         raise InputError(
             f"JAX cannot compute on {platforms!r}, which JAX_PLATFORMS or jax_platforms asks for: {reason}; expected "
             'a platform that JAX is installed for, such as "cpu", or none, so that JAX chooses'

@@ -28,6 +28,7 @@ from jaxfit.data.pictures import find_images, read_image
 from jaxfit.errors import ImageError
 
 _SIDE = int((DEFAULT_MEGAPIXELS * 1e6) ** 0.5) // 8 * 8
+_LESS = int((DEFAULT_MEGAPIXELS / 2.5 * 1e6) ** 0.5) // 8 * 8  # of formats whose pixels count more
 _PICTURE, _AFLW, _MATLAB, _TOML, _MODEL = (
     "jaxfit.data.pictures:read_image",
     "jaxfit.labels.importers.aflw:read_aflw",
@@ -62,6 +63,7 @@ _MOST_SECONDS, _MOST_MIB = 30.0, 3072.0  # of a picture
 def main() -> int:
     parser = script_parser(__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--only", nargs="+", choices=PICTURES, default=list(PICTURES), metavar="FILE")
     parser.add_argument("--folder", metavar="DIR", help="where the bombs are, or are made, and stay")
     parser.add_argument("--pictures", nargs="*", default=[], metavar="DIR", help="real ones, none of which is a bomb")
     return measure(run, parser.parse_args())
@@ -70,26 +72,26 @@ def main() -> int:
 def run(options: argparse.Namespace, report: Report) -> int:
     with ExitStack() as stack:
         folder = Path(options.folder or stack.enter_context(tempfile.TemporaryDirectory()))
-        over = [PARTS[name](report, folder) for name in options.parts]
+        over = [PARTS[name](report, folder, options.only) for name in options.parts]
     if options.pictures:
         report.add(_refused(options.pictures))
     return int(any(over))
 
 
-def pictures(report: Report, folder: Path) -> bool:
+def pictures(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """What each picture costs; whether one is over the budget."""
-    rows = [_cost(path, _PICTURE, side) for path, (side, _) in zip(_bombs(folder), PICTURES.values(), strict=True)]
+    rows = [_cost(path, _PICTURE, PICTURES[path.name][0]) for path in _bombs(folder, only)]
     report.table(
         rows,
         _COSTS,
-        f"Black pictures of about {DEFAULT_MEGAPIXELS:g} megapixels, or of as many as the number of scans allows, read "
-        f"by `read_image`, each in a process of its own. The budget is {_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} "
-        "MiB each.",
+        f"Black pictures, and noise, of nearly as many pixels as are allowed ({DEFAULT_MEGAPIXELS:g} megapixels, fewer "
+        "in some formats), of as many scans, or of as many bytes; read by `read_image`, each in a process of its own. "
+        f"The budget is {_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} MiB each.",
     )
     return any(row["seconds"] > _MOST_SECONDS or row["MiB"] > _MOST_MIB for row in rows)
 
 
-def others(report: Report, folder: Path) -> bool:
+def others(report: Report, folder: Path, _: Sequence[str]) -> bool:
     """What files cost that are no pictures; whether one is read."""
     with tempfile.TemporaryDirectory(dir=folder) as name:
         rows = [_cost(write(Path(name) / file), read) for file, (read, write) in OTHERS.items()]
@@ -98,9 +100,9 @@ def others(report: Report, folder: Path) -> bool:
     return any(row["outcome"] != "refused" for row in rows)
 
 
-def whole(report: Report, folder: Path) -> bool:
+def whole(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """What `jaxfit fit` takes for all of the pictures."""
-    paths = _bombs(folder)
+    paths = _bombs(folder, only)
     with tempfile.TemporaryDirectory(dir=folder) as name:
         begun = time.monotonic()
         process = _fit(paths, Path(name))
@@ -110,15 +112,15 @@ def whole(report: Report, folder: Path) -> bool:
         process.returncode = os.waitstatus_to_exitcode(status)
         seconds = time.monotonic() - begun
     report.add(
-        f"`jaxfit fit` goes through all {len(paths)} pictures in {seconds:.0f} seconds, and holds at most "
+        f"`jaxfit fit` goes through {len(paths)} pictures in {seconds:.0f} seconds, and holds at most "
         f"{used.ru_maxrss / 1024:,.0f} MiB, JAX and the model included."
     )
     return process.returncode not in (0, 1)  # without a face in any of them
 
 
-def stopped(report: Report, folder: Path) -> bool:
+def stopped(report: Report, folder: Path, only: Sequence[str]) -> bool:
     """How soon `jaxfit fit` hears Ctrl-C; whether it is too late."""
-    paths, late = _bombs(folder), []
+    paths, late = _bombs(folder, only), []
     for delay in _DELAYS:
         with tempfile.TemporaryDirectory(dir=folder) as name:
             process = _fit(paths, Path(name))
@@ -143,6 +145,7 @@ def _cost(path: Path, read: str, side: int = 0) -> dict[str, Any]:
     """What reading a file costs a process of its own."""
     ended = subprocess.run([sys.executable, "-c", _READ, read, path], capture_output=True, text=True, check=False)
     outcome, seconds, memory = ended.stdout.split() if not ended.returncode else (f"exit {ended.returncode}", 0, 0)
+    print(path.name, ended.stdout.strip() or ended.stderr[-200:], file=sys.stderr, flush=True)
     size = sum(512 * file.stat().st_blocks for file in (path, *path.rglob("*")))  # on the disk
     return {
         "file": path.name,
@@ -154,13 +157,14 @@ def _cost(path: Path, read: str, side: int = 0) -> dict[str, Any]:
     }
 
 
-def _bombs(folder: Path) -> list[Path]:
+def _bombs(folder: Path, only: Sequence[str]) -> list[Path]:
     """The files of `PICTURES`, made if they are not there."""
-    for name, (_, write) in PICTURES.items():
+    for name in only:
         if not (folder / name).exists():
-            new = write(folder / f"new-{name}")
+            print(f"making {name} …", file=sys.stderr, flush=True)
+            new = PICTURES[name][1](folder / f"new-{name}")
             new.replace(folder / name)
-    return [folder / name for name in PICTURES]
+    return [folder / name for name in only]
 
 
 def _fit(pictures: Sequence[Path], out: Path) -> subprocess.Popen[str]:
@@ -179,11 +183,16 @@ def _refused(folders: Sequence[str]) -> str:
     return "\n".join([f"Of {len(paths):,} real pictures, {len(why)} are refused.", *(f"- {line}" for line in why[:20])])
 
 
-def _encoded(channels: int = 3, dtype: type = np.uint8, side: int = _SIDE, **options: int) -> Callable[[Path], Path]:
-    """Writes a black picture with OpenCV."""
+def _encoded(
+    channels: int = 3, dtype: type = np.uint8, side: int = _SIDE, noise: bool = False, **options: int
+) -> Callable[[Path], Path]:
+    """Writes a black picture, or noise, with OpenCV."""
 
     def write(path: Path) -> Path:
-        picture: np.ndarray = np.zeros((side, side) if channels == 1 else (side, side, channels), dtype)
+        shape = (side, side) if channels == 1 else (side, side, channels)
+        picture: np.ndarray = np.zeros(shape, dtype)
+        if noise:
+            picture = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape, dtype)
         flags = [value for name, number in options.items() for value in (getattr(cv2, f"IMWRITE_{name}"), number)]
         path.write_bytes(cv2.imencode(path.suffix, picture, flags)[1].tobytes())
         return path
@@ -238,16 +247,28 @@ PICTURES: dict[str, tuple[int, Callable[[Path], Path]]] = {
     "1-bit.png": (_SIDE, _png(1, 0, 1)),
     "8-bit.png": (_SIDE, _png(8, 2, 3)),
     "16-bit-transparent.png": (_SIDE, _png(16, 6, 4)),
+    "16-bit-interlaced.png": (_SIDE, _png(16, 6, 4, interlaced=True)),
     "lossless.webp": (_SIDE, _encoded(WEBP_QUALITY=101)),
     "run-length.bmp": (_SIDE, _run_length_bmp),
     "8-bit.tiff": (_SIDE, _encoded(TIFF_COMPRESSION=8)),
-    "16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, side=_SIDE, TIFF_COMPRESSION=8)),
+    "16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, TIFF_COMPRESSION=8)),
     "plain.gif": (_SIDE, _encoded()),
-    "plain.avif": (_SIDE, _encoded(AVIF_SPEED=10)),
+    "plain.avif": (_LESS, _encoded(side=_LESS, AVIF_SPEED=10)),
+    "12-bit-transparent.avif": (_LESS, _encoded(4, np.uint16, side=_LESS, AVIF_SPEED=10, AVIF_DEPTH=12)),
     "plain.jp2": (_SIDE, _encoded()),
+    "transparent.jp2": (11616, _encoded(4, side=11616)),
     "plain.pgm": (_SIDE, _encoded(1)),
     "plain.hdr": (_SIDE, _encoded(3, np.float32)),
+    "plain.pfm": (_LESS, _encoded(3, np.float32, side=_LESS)),
+    "16-bit.ppm": (_SIDE, _encoded(3, np.uint16)),
+    "raw-16-bit-transparent.tiff": (_SIDE, _encoded(4, np.uint16, TIFF_COMPRESSION=1)),
     "plain.sr": (_SIDE, _encoded()),
+    "noise.jpg": (_SIDE, _encoded(noise=True, JPEG_PROGRESSIVE=1, JPEG_QUALITY=100)),
+    "noise.png": (_SIDE, _encoded(noise=True)),
+    "noise.webp": (_SIDE, _encoded(noise=True, WEBP_QUALITY=100)),
+    "noise.gif": (_SIDE, _encoded(noise=True)),
+    "noise.avif": (_LESS, _encoded(side=_LESS, noise=True, AVIF_SPEED=10, AVIF_QUALITY=86)),
+    "noise.jp2": (4380, _encoded(side=4380, noise=True, JPEG2000_COMPRESSION_X1000=1000)),
 }
 
 

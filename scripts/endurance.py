@@ -100,8 +100,10 @@ def killed(report: Report, runs: _Runs, options: argparse.Namespace) -> bool:
             process.communicate()
             kills += 1
             done.append(len(list((out / _CHUNKS).glob("*.jsonl"))))
+            _progress(f"killed {kills} of {options.kills} times, {done[-1]} chunks done")
             continue
         good, whole = good and runs.same("killed"), whole + 1
+        _progress(f"ended by itself: {_outcome(good)}")
         shutil.rmtree(out)
     runs.begin("killed").communicate()
     good = good and runs.same("killed")
@@ -124,12 +126,14 @@ def twins(report: Report, runs: _Runs, _: argparse.Namespace) -> bool:
                 process.send_signal(signal.SIGSTOP)
                 time.sleep(runs.chance.random())
                 process.send_signal(signal.SIGCONT)
+                time.sleep(runs.chance.random())
         words = [process.communicate()[1] for process in there]
         refused += sum("is being written by" in word for word in words)
         good = good and runs.same(out)
+        _progress(f"{count} runs: {_outcome(good)}")
     report.add(
         f"Two, three and four runs into one folder, stopped and continued at random: {refused} were refused while "
-        f"another had it, and there was {_outcome(good)}."
+        f"another had it, and each folder held {_outcome(good)}."
     )
     return good
 
@@ -150,9 +154,10 @@ def disk(report: Report, runs: _Runs, options: argparse.Namespace) -> bool:
             ballast.unlink()
         runs.begin(out).communicate()
         good = good and process.returncode == 2 and runs.same(out)
+        _progress(f"room for {room:,} bytes: {_outcome(good)}")
         shutil.rmtree(out)
     report.add(
-        f"{'On a disk' if options.disk else 'With files of at most'} with room for "
+        f"{'On a disk with room for' if options.disk else 'With files of at most'} "
         f"{', '.join(f'{room:,}' for room in _ROOMS)} bytes, runs ended with a sentence, and those after them, with "
         f"enough, with {_outcome(good)}.",
         "\n".join(f"- `{sentence}`" for sentence in sorted(sentences)),
@@ -164,7 +169,7 @@ def threads(report: Report, _: _Runs, options: argparse.Namespace) -> bool:
     """Eight threads fit at a time."""
     model = jaxfit.load(_MODEL)
     pictures = [np.random.default_rng(number).integers(0, 255, (_SIDE, _SIDE), np.uint8) for number in range(8)]
-    boxes = [np.array([[0, 0, _SIDE, _SIDE]])] * 8
+    boxes = np.array([[0, 0, _SIDE, _SIDE]] * 8)
     alone = jaxfit.fit(model, pictures, boxes).landmarks
     end = time.monotonic() + options.seconds
 
@@ -182,6 +187,10 @@ def threads(report: Report, _: _Runs, options: argparse.Namespace) -> bool:
         f"{min(calls)} times; landmarks were at most {max(apart):.2g} pixels from those of a call alone."
     )
     return max(apart) < 1e-3
+
+
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _outcome(same: bool) -> str:

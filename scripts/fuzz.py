@@ -38,8 +38,8 @@ from jaxfit.cli.arguments import out_folder, seed
 from jaxfit.cli.main import exit_code
 from jaxfit.data.boxes import read_boxes
 from jaxfit.data.detectors.whole import Whole
-from jaxfit.data.headers import exif_orientation
 from jaxfit.data.names import pictures_named, table_path
+from jaxfit.data.orientations import orientation_of
 from jaxfit.data.pictures import decode_image, find_images, write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.data.videos import Video, write_video
@@ -228,9 +228,9 @@ def _exif(_: Path) -> Target:
         riff = webp[8:] + b"EXIF" + len(data).to_bytes(4, "little") + data + b"\0" * (len(data) % 2)
         files = (jpeg[:2] + segment + jpeg[2:], png[:33] + chunk + png[33:])
         for picture in (*files, b"RIFF" + len(riff).to_bytes(4, "little") + riff):
-            exif_orientation(picture)
+            orientation_of(picture)
             decode_image(picture)
-        exif_orientation(data)
+        orientation_of(data)
         return _READ
 
     return Target([big, little], attempt)

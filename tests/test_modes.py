@@ -1,6 +1,7 @@
 """Modes of JAX that a program may have set, and processes in which JAX cannot compute."""
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -102,6 +103,40 @@ def test_a_real_fork_ends_with_a_sentence(drawn_model: Path) -> None:
     )
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
     assert ran.returncode == 7, ran.stderr
+
+
+def test_a_fork_after_others_have_computed_ends_with_a_sentence(drawn_model: Path) -> None:
+    code = (
+        "import jax.numpy, jaxfit, os, sys\n"
+        "jax.numpy.zeros(3) + 1\n"
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    try:\n"
+        f"        jaxfit.load({str(drawn_model)!r})\n"
+        "    except jaxfit.errors.ProcessError as error:\n"
+        "        os._exit(7)\n"
+        "    os._exit(0)\n"
+        "sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert ran.returncode == 7, ran.stderr
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["JAX_ENABLE_X64=maybe", "JAX_DEFAULT_MATMUL_PRECISION=foo", "JAX_DEFAULT_DEVICE=foo", "JAX_NUM_CPU_DEVICES=two"],
+)
+def test_settings_that_jax_refuses_are_one_sentence(setting: str) -> None:
+    name, _, value = setting.partition("=")
+    expected = re.compile(rf"JAX cannot be imported: .*{value}.*; the environment sets .*{setting}.*: correct them")
+    for words, code in ((["-m", "jaxfit", "models"], 2), (["-c", "import jaxfit"], 1)):
+        environment = os.environ | {name: value}
+        ran = subprocess.run(
+            [sys.executable, *words], capture_output=True, text=True, env=environment, timeout=120, check=False
+        )
+        assert ran.returncode == code
+        assert expected.search(ran.stderr.splitlines()[-1]), ran.stderr
+        assert len(ran.stderr.splitlines()) == 1 or code == 1
 
 
 @pytest.mark.parametrize("platform", ["nosuch", "cuda", "tpu"])

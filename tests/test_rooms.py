@@ -16,6 +16,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "jaxfit"
 ROOMS = (
     "errors",
     "types",
+    "environment",
     "modes",
     "processes",
     "compile_cache",

@@ -7,10 +7,13 @@ from jaxfit.cli.arguments import (
     add_pictures,
     add_refine,
     add_starts,
+    add_unshift,
     given_fitting,
+    given_unshift,
 )
-from jaxfit.cli.progress import Bars, say
+from jaxfit.cli.progress import Bars, say, warn
 from jaxfit.data.pictures import find_images
+from jaxfit.models.files import load
 from jaxfit.runs.collection import fit_collection
 from jaxfit.runs.workers import BatchFitter
 
@@ -28,6 +31,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_detector(command, "finds the faces; yunet, a small network, unless given")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
+    add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument("--workers", type=int, help="processes; as many as there are cores for unless given")
     command.add_argument("--cores", type=int, default=1, help="that each of them keeps busy (default: 1)")
@@ -37,7 +41,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
-    fitter = BatchFitter(options.model, given_fitting(options), options.refine, options.cores, options.max_megapixels)
+    fitter = BatchFitter(
+        options.model, given_fitting(options), options.refine, options.cores, options.max_megapixels, options.unshift
+    )
+    if options.unshift:
+        warn(given_unshift(options, load(options.model)))
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:
         outcomes = fit_collection(

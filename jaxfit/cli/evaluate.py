@@ -132,7 +132,8 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         }
         json.dump({"model": options.model, **settings, "datasets": reports}, file, indent=2)
     write_csv(folder / _WRITTEN[1], FACE_COLUMNS, face_rows(results))
-    replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)})
+    if replaced := replace_results(folder, _COMMAND, _WRITTEN, {"model": options.model, "data": list(reports)}):
+        say(replaced)
     report_problems(
         [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]

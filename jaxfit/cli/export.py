@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxfit.cli.arguments import add_starts, given_starts, untrained_starts
+from jaxfit.cli.arguments import add_starts, add_unshift, given_starts, given_unshift, untrained_starts
 from jaxfit.cli.progress import say, warn
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.fitting.export import export_model, load_exported
@@ -21,6 +21,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     command.add_argument("--out", required=True, metavar=f"FILE{SUFFIX}", help="the file to write")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
+    add_unshift(command)
     command.set_defaults(run=run)
 
 
@@ -29,8 +30,8 @@ def run(options: argparse.Namespace) -> int:
     model, out = load(options.model), Path(options.out)
     starts = given_starts(options)
     require_no_inputs([out], [options.model])
-    warn(untrained_starts(options.model, model, starts))
-    export_model(model, out, starts)
+    warn(untrained_starts(options.model, model, starts) + given_unshift(options, model))
+    export_model(model.unshifted() if options.unshift else model, out, starts)
     exported = load_exported(out)
     side = exported.frame.crop
     say(f"{out}: {options.model}, {model.scheme.name}, {out.stat().st_size / 2**20:.1f} MiB")

@@ -101,5 +101,12 @@ def run(options: argparse.Namespace) -> int:
     report_problems(problems)
     doubtful = f" ({report.doubtful} of them doubtful)" if report.doubtful else ""
     say(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
+    if options.min_confidence is not None:
+        say(
+            f"in the tables: {report.faces - report.set_apart} faces; {report.set_apart}, whose confidence is below "
+            f"{options.min_confidence:g}, in doubtful.csv instead"
+        )
+    if report.replaced:
+        say(report.replaced)
     say(f"written: {', '.join(map(str, report.written))}")
     return 0 if report.faces else 1

@@ -36,8 +36,8 @@ def add_faces(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="datasets to be tested on: faces in their pictures, or in others of the same file names, are left out of "
-        "all others",
+        help="datasets to be tested on: faces in their pictures, or in others of the same file names or pixels, are "
+        "left out of all others",
     )
 
 

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 import jaxfit
 from jaxfit.cli import collect, convert, evaluate, experiments, export, finetune, fit, models, serve, track, train
@@ -27,6 +27,24 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(*arguments, **options)
         self.register("type", float, number)
         self.register("type", int, whole_number)
+        self._words: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As in `argparse`, which does not say what was given when it says what is missing."""
+        self._words = list(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(self._words, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        """Say what is wrong, and where it may come from: an option of several values takes all words that follow."""
+        missing = message.partition("the following arguments are required: ")[2].split(", ")
+        lost = [name for name in missing if name and not name.startswith("-")]
+        several = (action for action in self._actions if action.nargs in ("+", "*", "?"))
+        given = [name for action in several for name in action.option_strings if name in self._words]
+        taking = given if lost else [name for name in given if message.startswith(f"argument {name}: invalid")]
+        if taking:
+            own = " and ".join(lost) or "other words"
+            message += f"; {taking[0]} takes all words that follow, up to the next option: put {own} before it"
+        super().error(message)
 
 
 def parser() -> argparse.ArgumentParser:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from jaxfit.cli.arguments import add_unshift
 from jaxfit.cli.progress import say
 from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
@@ -36,6 +37,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         metavar="SPEC",
         help=f"what finds the faces, to choose from: {', '.join(detector_specs())} (default: all that are installed)",
     )
+    add_unshift(command)
     command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")
     command.set_defaults(run=run)
@@ -48,6 +50,11 @@ def run(options: argparse.Namespace) -> int:
     usual = usual_detector(next(iter(loaded.values())))  # what the page begins with suits the first model
     installed = (name for name, entry in DETECTORS.items() if entry.installed)
     detectors = options.detector or sorted(installed, key=lambda name: name != usual)
+    if options.unshift:
+        still = [name for name, model in loaded.items() if not model.cascade.frame.shift]
+        if still:
+            say(f"--unshift: no shift of labels is known of {', '.join(still)}: their fits stay where they are")
+        loaded = {name: model.unshifted() for name, model in loaded.items()}
     service = Service(loaded, _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:
         try:

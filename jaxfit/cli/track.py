@@ -105,7 +105,8 @@ def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Ite
     say(
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
-    replace_results(folder, _COMMAND, written, {"model": options.model, "video": options.video})
+    if replaced := replace_results(folder, _COMMAND, written, {"model": options.model, "video": options.video}):
+        say(replaced)
     written.append(MANIFEST)
     say(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1

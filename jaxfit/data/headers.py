@@ -1,4 +1,4 @@
-"""What pictures say before they are decoded: their sizes, how they are turned, and the segments of JPEG."""
+"""What pictures say before they are decoded: what they are, their sizes, and the segments of JPEG."""
 
 import re
 import struct
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 JPEG = b"\xff\xd8"
 PNG = b"\x89PNG\r\n\x1a\n"
-SIDEWAYS = (5, 6, 7, 8)  # EXIF orientations in which width is seen as height
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 ISO_PICTURES = (*_HEIC_BRANDS, b"avif", b"avis")
 # How other files of pictures begin; of bitmaps and Netpbm's more has to be right, as words may begin so.
@@ -18,10 +17,7 @@ _BEGINNINGS = re.compile(
 )
 BEGINNING = 64  # bytes of a file that tell whether it is a picture
 END_OF_IMAGE, START_OF_SCAN = 0xD9, 0xDA
-_APPLICATION_1, _EXIF = 0xE1, b"Exif\0\0"
-_ORIENTATION = 0x0112  # EXIF's tag
-_ORDERS = {b"II*\0": "<", b"MM\0*": ">"}  # of bytes, by the first ones of EXIF data
-_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
+START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}  # three of this range are tables
 # After 0xff, a zero (the byte 0xff itself), a restart marker or a fill byte go on with the current scan; 0x01 has no
 # segment either.
 _MARKER = re.compile(rb"\xff([^\x00\x01\xff\xd0-\xd7])", re.DOTALL)
@@ -40,7 +36,13 @@ def looks_like_picture(data: bytes) -> bool:
 
 def is_heic(data: bytes) -> bool:
     """Whether a file begins like one of a HEIC picture, and not like another of its family, such as AVIF."""
-    return data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS and b"avif" not in data[8:BEGINNING]
+    return data[4:8] == b"ftyp" and data[8:12] in _HEIC_BRANDS and not is_avif(data)
+
+
+def is_avif(data: bytes) -> bool:
+    """Whether a file begins like one of an AVIF picture, or of several."""
+    brands = data[8:BEGINNING]
+    return data[4:8] == b"ftyp" and (b"avif" in brands or b"avis" in brands)
 
 
 def stored_size(data: bytes) -> tuple[int, int] | None:
@@ -65,55 +67,6 @@ def stored_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
-def exif_orientation(data: bytes) -> int:
-    """How a JPEG, PNG, WebP or TIFF picture is turned to be seen, from 1 to 8, as its EXIF data say; 1, not at all, for
-    all else."""
-    try:
-        for exif in _exif(data):
-            if exif[:4] in _ORDERS:  # an empty one may come before
-                return _orientation(exif)
-    except struct.error:  # cut off
-        pass
-    return 1
-
-
-def _exif(data: bytes) -> Iterator[bytes]:
-    """The EXIF data of a picture, which are a small TIFF file, if it has some."""
-    if data.startswith(JPEG):
-        for marker, at in jpeg_markers(data):
-            if marker == _APPLICATION_1 and data.startswith(_EXIF, at + 2):
-                yield data[at + 2 + len(_EXIF) : at + int.from_bytes(data[at : at + 2])]
-            elif marker in (START_OF_SCAN, END_OF_IMAGE):
-                return
-    elif data.startswith(PNG):
-        at = len(PNG)
-        while at + 8 <= len(data):
-            size, kind = struct.unpack_from(">I4s", data, at)
-            if kind == b"eXIf":
-                yield data[at + 8 : at + 8 + size]
-            at += 12 + size
-    elif data.startswith(b"RIFF") and data[8:12] == b"WEBP":
-        at = 12
-        while at + 8 <= len(data):
-            kind, size = struct.unpack_from("<4sI", data, at)
-            if kind == b"EXIF":
-                yield data[at + 8 : at + 8 + size].removeprefix(_EXIF)
-            at += 8 + size + size % 2
-    elif data[:4] in _ORDERS:  # a TIFF picture has the same directory itself
-        yield data
-
-
-def _orientation(exif: bytes) -> int:
-    order = _ORDERS[exif[:4]]
-    (first,) = struct.unpack_from(f"{order}I", exif, 4)
-    (count,) = struct.unpack_from(f"{order}H", exif, first)
-    for number in range(count):
-        tag, _, _, value = struct.unpack_from(f"{order}HHIH", exif, first + 2 + 12 * number)
-        if tag == _ORIENTATION:
-            return value if 1 <= value <= 8 else 1
-    return 1
-
-
 def jpeg_markers(data: bytes) -> Iterator[tuple[int, int]]:
     """The markers of a JPEG file after its first, each with the place of what follows it.
 
@@ -133,7 +86,7 @@ def has_jpeg_header(data: bytes) -> bool:
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     for marker, at in jpeg_markers(data):
-        if marker in _START_OF_FRAME:
+        if marker in START_OF_FRAME:
             height, width = struct.unpack_from(">HH", data, at + 3)
             return width, height
         if marker in (START_OF_SCAN, END_OF_IMAGE):

@@ -14,6 +14,7 @@ DEFAULT_MEGAPIXELS = 180.0
 _MOST_SCANS = 100  # of a progressive JPEG, which have about ten; each goes through the whole picture
 _MOST_WORK = 2000.0  # million pixels times scans
 _MOST_MEGAPIXELS = 1000.0  # OpenCV's own limit is 2^30 pixels
+_MOST_SLOW_BYTES = 64_000_000  # of AVIF, HEIC and JPEG 2000, each of which takes a sixth of a microsecond
 _BYTES_OF_PIXEL, _BYTES_OF_HEADERS = 8, 1 << 26  # the most that formats without compression take
 
 _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPIXELS)
@@ -24,7 +25,7 @@ def at_most_megapixels(megapixels: float) -> Iterator[None]:
     """Read pictures of up to so many million pixels; larger ones are problems. Without this, it is 180.
 
     Pictures that are fitted at the same time have at most as many together. Memory and time grow with it;
-    ``scripts/bombs.py`` measures how.
+    ``scripts/bombs.py`` measures how. Pixels of AVIF, HEIC, floats, and JPEG 2000 with transparency count more.
 
     Raises:
         InputError: it is not positive, or over 1000.
@@ -86,20 +87,25 @@ def most_picture_bytes() -> int:
     return _BYTES_OF_HEADERS + int(most_megapixels() * 1e6) * _BYTES_OF_PIXEL
 
 
-def size_problem(width: int, height: int, scans: int = 1) -> str | None:
+def size_problem(width: int, height: int, scans: int = 1, weight: float = 1.0, slow_bytes: int = 0) -> str | None:
     """Why not to decode a picture of such a size, as a sentence; None if there is no reason.
 
     Args:
         width: in pixels, as its header says.
         height: likewise.
         scans: how often a decoder goes through it, as with progressive JPEG.
+        weight: as how many pixels one of its format counts.
+        slow_bytes: how many of the file's bytes take long.
     """
-    millions, most = width * height / 1e6, most_megapixels()
+    millions, most = width * height / 1e6 * weight, most_megapixels()
     if millions > most:
+        verb = "are" if weight == 1 else "of this format count as"
         return (
-            f"{width} x {height} pixels are {millions:,.0f} megapixels; expected at most {most:g}: shrink it, or allow "
-            "more (--max-megapixels, jaxfit.data.at_most_megapixels)"
+            f"{width} x {height} pixels {verb} {millions:,.0f} megapixels; expected at most {most:g}: shrink it, or "
+            "allow more (--max-megapixels, jaxfit.data.at_most_megapixels)"
         )
     if scans > _MOST_SCANS or scans * millions > _MOST_WORK:
         return f"a progressive JPEG of {scans} scans of {width} x {height} pixels takes too long; save it again"
+    if slow_bytes > _MOST_SLOW_BYTES:
+        return f"a file of {slow_bytes:,} bytes in this format takes too long; save it as JPEG or PNG"
     return None

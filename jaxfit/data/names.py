@@ -63,6 +63,24 @@ def table_word(word: str) -> str:
     return f"_{text}" if text.startswith(_FORMULA) else text
 
 
+def real_path(path: str | Path) -> str:
+    """A path without links, absolute; as it is given where none can be, as with a null character in it."""
+    try:
+        return os.path.realpath(path)
+    except ValueError:
+        return str(path)
+
+
+def each_once(pictures: Iterable[str | Path]) -> list[Path]:
+    """Pictures without those that were there before under another path, as ``a.jpg`` and ``/photos/a.jpg``, or through
+    a link to a folder. A link to a picture is a picture of its own."""
+    real = cache(real_path)
+    places: dict[str, Path] = {}
+    for path in map(Path, pictures):
+        places.setdefault(os.path.join(real(path.parent), path.name), path)
+    return list(places.values())
+
+
 def _composed(name: str) -> str:
     return unicodedata.normalize("NFC", name)
 
@@ -159,7 +177,7 @@ def pictures_named(
             folder, file = os.path.split(path)
             there = {os.path.join(real(os.path.join(base, folder)), file) for base in bases}
             meant = (
-                there.intersection(places)
+                {place for place in there if place in places}  # set.intersection goes through all places
                 or {*by_end.ending(path)}
                 or {place for each in there for place in composed.get(_composed(each), ())}
                 or {place for each in composed_by_end.ending(_composed(path)) for place in composed[each]}

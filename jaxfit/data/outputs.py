@@ -75,8 +75,9 @@ def results_in(folder: str | Path) -> list[str]:
 
 def replace_results(
     folder: str | Path, command: str, written: Iterable[str], settings: dict[str, Any], others: Iterable[str] = ()
-) -> None:
-    """Remove what the run before this one wrote to a folder and this one did not, and write this one's manifest.
+) -> str:
+    """Remove what the run before this one wrote to a folder and this one did not, and write this one's manifest;
+    returns a sentence about that run if its settings were others, else an empty one.
 
     Files of nobody's manifest stay.
 
@@ -88,6 +89,7 @@ def replace_results(
         others: files that are removed as well, unless this run wrote them.
     """
     folder, files = Path(folder), sorted({*written})
+    replaced = _replaced(folder, json.loads(json.dumps(settings)))
     for name in sorted({*results_in(folder), *others} - {*files}):
         path = folder / name
         path.unlink(missing_ok=True)
@@ -103,6 +105,20 @@ def replace_results(
     }
     with atomic_write(folder / MANIFEST, "w") as file:
         json.dump(account, file, indent=1)
+    return replaced
+
+
+def _replaced(folder: Path, settings: dict[str, Any]) -> str:
+    """A sentence about the run whose results are replaced, if its settings, JSON values, were others."""
+    try:
+        before = _manifest(folder)
+    except InputError:  # replaced all the same, as was asked for
+        return f"replaced what an earlier run wrote to {folder}; its {MANIFEST} was damaged"
+    if before is None or before.get("settings") == settings:
+        return ""
+    known = before.get("settings")
+    changed = "; ".join(_differences(known if isinstance(known, dict) else {}, settings))
+    return f"replaced what `{before['command']}` wrote to {folder} at {before['when']} with other settings ({changed})"
 
 
 def _manifest(folder: Path) -> dict[str, Any] | None:

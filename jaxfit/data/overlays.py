@@ -27,6 +27,9 @@ _DARKEST = 0.1  # of the colour map; below, far points vanish in dark pictures
 _CORNERS = np.array([[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
 _FRONT_EDGES = ((0, 1, 2, 3, 0),)
 _OTHER_EDGES = ((4, 5, 6, 7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+# Lines of a pixel would hide a face of so few pixels and so many points: it has points only, not much larger.
+_SMALL, _MANY, _LEAST_RADIUS = 60, 20, 0.4
+_LEAST_LETTERS = 0.4  # height of the smallest letters that can be read, in those of OpenCV's font
 _BITS = 4  # OpenCV takes coordinates as integers; these are binary digits after the point
 _FARTHEST = 2.0**15  # pixels; beyond, OpenCV's integers overflow
 
@@ -178,14 +181,18 @@ def draw_name(rgb: Pixels, name: str, box: np.ndarray, ok: bool = True) -> np.nd
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's name written above its box (4,); in orange if
     its fit is not ok."""
     canvas = _canvas(rgb, None)
-    height = 0.0025 * min(box[2], max(canvas.shape))  # of the letters, in those of OpenCV's font
+    height = max(_LEAST_LETTERS, 0.0025 * min(box[2], max(canvas.shape)))  # of the letters, in those of OpenCV's font
     width = max(1, round(2 * height))
+    (wide, high), below = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, height, 3 * width)
+    # Of faces at the edges, within the picture: below their upper edge, or farther left.
+    least, most = np.array([2, high + 2]), np.array(canvas.shape[1::-1]) - [wide + 2, below + 2]
+    place = np.maximum(least, np.minimum(most, np.clip(box[:2], -_FARTHEST, _FARTHEST) - [0, 4]))
     for colour, thickness in (
         ((0, 0, 0), 3 * width),
         (_YELLOW if ok else _ORANGE, width),
     ):  # its outline first: readable on any ground
-        place = tuple(np.round(np.clip(box[:2], -_FARTHEST, _FARTHEST) - [0, 4]).astype(int).tolist())
-        cv2.putText(canvas, name, place, cv2.FONT_HERSHEY_SIMPLEX, max(0.4, height), colour, thickness, cv2.LINE_AA)
+        corner = tuple(np.round(place).astype(int).tolist())
+        cv2.putText(canvas, name, corner, cv2.FONT_HERSHEY_SIMPLEX, height, colour, thickness, cv2.LINE_AA)
     return canvas
 
 
@@ -206,9 +213,11 @@ def _face(canvas: np.ndarray, points: np.ndarray, scheme: Scheme, colour: tuple[
     if not np.isfinite(points).all(1).any():
         return
     thickness = _thickness(points, canvas)
-    _lines(canvas, points, scheme.lines, colour, thickness)
+    small = _is_small(points)
+    if not small:
+        _lines(canvas, points, scheme.lines, colour, thickness)
     for point in points[np.isfinite(points).all(1)]:
-        _dot(canvas, point, colour, thickness)
+        _dot(canvas, point, colour, thickness, small)
 
 
 def _depths(canvas: np.ndarray, points: np.ndarray, scheme: Scheme) -> None:
@@ -224,10 +233,12 @@ def _depths(canvas: np.ndarray, points: np.ndarray, scheme: Scheme) -> None:
         return red, green, blue
 
     edges = [(depths[list(edge)].mean(), edge) for line in scheme.lines for edge in pairwise(line)]
-    for depth, edge in sorted((item for item in edges if np.isfinite(item[0])), reverse=True):
+    small = _is_small(flat)
+    known = (item for item in edges if not small and np.isfinite(item[0]))
+    for depth, edge in sorted(known, reverse=True):
         _lines(canvas, flat, (edge,), colour(depth), thickness)
     for index in np.argsort(-depths)[: np.isfinite(depths).sum()]:  # NaN comes last
-        _dot(canvas, flat[index], colour(depths[index]), thickness)
+        _dot(canvas, flat[index], colour(depths[index]), thickness, small)
 
 
 def _axes(canvas: np.ndarray, axes: np.ndarray, thickness: float) -> None:
@@ -247,9 +258,17 @@ def _head_box(points: np.ndarray, rotation: np.ndarray) -> tuple[np.ndarray, flo
     return np.where(_CORNERS, high, low) @ rotation.T, float(size)
 
 
-def _dot(canvas: np.ndarray, point: np.ndarray, colour: tuple[int, int, int], thickness: float) -> None:
-    """A point (2,) that shows on lines of some thickness."""
-    radius = round(max(1.0, 2.25 * thickness) * 2**_BITS)
+def _is_small(points: np.ndarray) -> bool:
+    """Whether the landmarks (L, 2) of a face are so close together that lines would hide it."""
+    known = np.isfinite(points).all(1)
+    return bool(known.sum() > _MANY and bounding_square(points)[2] < _SMALL)
+
+
+def _dot(
+    canvas: np.ndarray, point: np.ndarray, colour: tuple[int, int, int], thickness: float, small: bool = False
+) -> None:
+    """A point (2,) that shows on lines of some thickness; of a small face without lines, as small as can be."""
+    radius = round((_LEAST_RADIUS if small else max(1.0, 2.25 * thickness)) * 2**_BITS)
     cv2.circle(canvas, _fixed(point), radius, colour, cv2.FILLED, cv2.LINE_AA, _BITS)
 
 

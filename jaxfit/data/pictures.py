@@ -20,8 +20,6 @@ from jaxfit.data.headers import (
     END_OF_IMAGE,
     JPEG,
     PNG,
-    SIDEWAYS,
-    exif_orientation,
     is_heic,
     jpeg_markers,
     looks_like_picture,
@@ -29,8 +27,10 @@ from jaxfit.data.headers import (
 )
 from jaxfit.data.inputs import open_regular, read_regular
 from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
+from jaxfit.data.names import each_once
+from jaxfit.data.orientations import as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.sizes import decoded_size, is_deep, scans_of
+from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of, slow_bytes, weight_of
 from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -55,20 +55,22 @@ Read = Callable[[Any], Pixels]  # of a Path or bytes; bytes only where pictures 
 NAMELESS = "the picture"  # what errors call one that came without a file
 _PIL = Lock()  # its images read their files when they are first used, in one thread at a time
 _ORIENTATION, _UPRIGHT = 0x0112, 1  # EXIF
-_ROWS = 1024  # of a picture that are converted at a time
-_QUICK = 8_000_000  # pixels, times scans, that take well under two seconds in any format
-_LEAST_OF_SIXTEEN = 2**12  # what the largest value of a 16-bit picture must reach: below, hardly a grey level is left
+_OF_CAMERAS = 14  # bits; pictures of 16 that use no more hold the numbers of a camera, or of 8 bits
+_ROWS = 64  # of a picture that are converted at a time: they stay in the cache
+_QUICK = 8_000_000  # pixels, times scans, and slow bytes that take under two seconds in any format
 
 
 def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
-    """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped and 16 bits become 8.
+    """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped.
 
-    HEIC pictures need the extra ``jaxfit[heif]``.
+    Of 16 bits the upper 8 are kept; where no value uses more than 14, those of the largest value, so that pictures of
+    10, 12 or 14 bits are not dark. Of animated pictures, and of files with several, it is the first. HEIC pictures
+    need the extra ``jaxfit[heif]``.
 
     Args:
         path: the file, or the bytes in it.
-        exif: turn the picture upright as its EXIF orientation says, as everything in jaxfit does; False gives the
-            pixels as they are stored.
+        exif: turn the picture upright as its EXIF orientation says, or that of TIFF and AVIF files, as everything in
+            jaxfit does; False gives the pixels as they are stored.
 
     Raises:
         ImageError: the file is missing, empty, truncated, or not a picture that OpenCV reads.
@@ -115,7 +117,7 @@ def picture_size(path: str | Path) -> tuple[int, int]:
         height, width = _decoded(path, data, cv2.IMREAD_GRAYSCALE, exif=True).shape[:2]
         return width, height
     width, height = size
-    return (height, width) if exif_orientation(data) in SIDEWAYS else (width, height)
+    return (height, width) if orientation_of(data) in SIDEWAYS else (width, height)
 
 
 def _name(path: str | Path | bytes) -> str | Path:
@@ -141,31 +143,31 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         raise ImageError(f"{source}: {complaint}")
     if Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
-    size, scans = decoded_size(data), scans_of(data)
+    size, scans, weight, slow = decoded_size(data), scans_of(data), weight_of(data), slow_bytes(data)
     width, height = size or (0, 0)
-    if complaint := size_problem(width, height, scans):
+    if complaint := size_problem(width, height, scans, weight, slow):
         raise ImageError(f"{source}: {complaint}")
-    count_picture(width * height)
+    count_picture(round(width * height * weight))
     if is_heic(data):
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
-    decode = partial(_by_opencv, source, data, long=width * height * scans > _QUICK)
+    decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
     # Without a size it may be whatever it is: nobody knows how much would come of it.
-    picture = None if size is None else decode(flags if exif else flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    picture = None if size is None else decode(flags | cv2.IMREAD_IGNORE_ORIENTATION)
+    if picture is not None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:
+        picture = None  # not held while it is read again
+        deep = decode(flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+        picture = None if deep is None else _upper_bits(deep)
     if picture is None:
         raise ImageError(f"{source}: not a picture, damaged, or of a format that OpenCV does not read")
-    if is_deep(data) and picture.max() < _LEAST_OF_SIXTEEN >> 8:
-        grey = decode(cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
-        if grey is not None and (largest := int(grey.max())):
-            raise ImageError(
-                f"{source}: expected values up to 65535 in a picture of 16 bits, of which the upper 8 are kept; its "
-                f"largest value is {largest}: scale it, or save it with 8 bits"
-            )
     if picture.ndim == 3:
         for first in range(0, len(picture), _ROWS):  # OpenCV copies what it converts in place
             rows = picture[first : first + _ROWS]
             cv2.cvtColor(rows, cv2.COLOR_BGR2RGB, rows)
-    return picture
+    turned_by_opencv = data[:4] in TIFF  # whatever it is asked
+    if exif == turned_by_opencv:
+        return picture
+    return (as_seen if exif else as_stored)(picture, orientation_of(data))
 
 
 def _by_opencv(source: str | Path, data: bytes, flags: int, *, long: bool) -> np.ndarray | None:
@@ -276,12 +278,13 @@ def to_eight_bits(image: Pixels) -> np.ndarray:
     """A picture as a contiguous uint8 array, (H, W) or (H, W, 3) RGB.
 
     It may be a uint8 or uint16 array of NumPy or JAX, (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA; or a PIL
-    image of any mode that PIL makes RGB or grey of. Transparency is dropped, of 16 bits the upper 8 are kept.
+    image of any mode that PIL makes RGB or grey of. Transparency is dropped. Of 16 bits the
+    upper 8 are kept; where no value uses more than 14, those of the largest value, so that pictures of 8, 10, 12 or 14
+    bits in 16 are not dark.
 
     Raises:
-        ImageError: another kind of object; another type of number, another number of axes or channels, or no pixels; a
-            picture of 16 bits that uses only the lower ones; or a PIL image that is damaged, or is still to be turned
-            as its EXIF data say.
+        ImageError: another kind of object; another type of number, another number of axes or channels, or no pixels; or
+            a PIL image that is damaged, or is still to be turned as its EXIF data say.
     """
     image = _array(image)
     channels = 1 if image.ndim == 2 else image.shape[2] if image.ndim == 3 else 0
@@ -291,21 +294,32 @@ def to_eight_bits(image: Pixels) -> np.ndarray:
             "expected a uint8 or uint16 picture (H, W), (H, W, 1), (H, W, 3) RGB or (H, W, 4) RGBA with at least one "
             f"pixel; got {image.dtype} {image.shape}{_advice(image)}"
         )
-    if deep:
-        if 0 < (largest := int(image.max())) < _LEAST_OF_SIXTEEN:
-            raise ImageError(
-                f"expected a uint16 picture with values up to 65535, of which the upper 8 bits are kept; its largest "
-                f"value is {largest}: scale it, or give image.astype(numpy.uint8) if its values go up to 255"
-            )
-        image = (image >> 8).astype(np.uint8)
     if channels == 1:
-        return np.ascontiguousarray(image.reshape(image.shape[:2]))
-    return np.ascontiguousarray(image[..., :3])
+        image = image.reshape(image.shape[:2])
+    elif channels == 4:
+        image = image[..., :3]
+    return np.ascontiguousarray(_upper_bits(image) if deep else image)
+
+
+def _upper_bits(image: np.ndarray) -> np.ndarray:
+    """A uint16 array as uint8: the upper 8 bits, of those that are used if they are so few that it would be dark."""
+    used = int(image.max()).bit_length()
+    left_out = 8 if used > _OF_CAMERAS else max(0, used - 8)
+    eight = np.empty(image.shape, np.uint8)
+    for first in range(0, len(image), _ROWS):  # what is computed with 16 bits is not held as a whole
+        eight[first : first + _ROWS] = image[first : first + _ROWS] >> left_out
+    return eight
 
 
 def _array(image: Pixels) -> np.ndarray:
-    if isinstance(image, np.ndarray | jax.Array):
+    if isinstance(image, np.ndarray):
         return np.asarray(image)
+    if isinstance(image, jax.Array):
+        try:
+            return np.asarray(image)
+        except (RuntimeError, TypeError, ValueError) as error:  # deleted or donated, of keys, elsewhere, being traced
+            why = str(error).partition("\n")[0]
+            raise ImageError(f"an array of JAX that cannot be used ({why}); give numpy.asarray(image)") from None
     if _is_of_pil(image):
         return _array_of_pil(image)
     advice = "make it a uint8 array (H, W, 3) first, as tensor.cpu().numpy() and numpy.asarray do"
@@ -399,7 +413,7 @@ def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Pa
                 raise InputError(f"{match} is a video: `jaxfit track` follows faces through videos")
             elif not match.is_dir():
                 found.append(match)
-    return list(dict.fromkeys(found))
+    return each_once(found)
 
 
 def _matches(pattern: str) -> set[str]:
@@ -534,13 +548,24 @@ def several(images: Images) -> list[Image]:
     """Pictures as a list: what comes from a generator is kept, and paths of any type are files.
 
     Raises:
-        InputError: it is one picture, or nothing that pictures come in one after another.
+        InputError: it is one picture, nothing that pictures come in one after another, or being traced by JAX.
     """
     require_several(images)
-    return [
-        Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
-        for image in images
-    ]
+    try:
+        listed = [
+            Path(image) if isinstance(image, os.PathLike) else bytes(image) if isinstance(image, bytearray) else image
+            for image in images
+        ]
+    except RuntimeError as error:  # an array of JAX that was deleted; generators of the caller's raise what they raise
+        if not isinstance(images, jax.Array):
+            raise
+        raise InputError(f"expected a sequence of images; got an array of JAX that cannot be used ({error})") from None
+    if any(isinstance(image, jax.core.Tracer) for image in listed):
+        raise InputError(
+            "expected pictures; got arrays that JAX is tracing, whose values are not known: call this outside of "
+            "functions that jax.jit, jax.vmap or jax.grad transform; jaxfit.cascade.fit_crops can be traced"
+        )
+    return listed
 
 
 def require_several(images: Images) -> None:

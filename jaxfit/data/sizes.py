@@ -2,24 +2,37 @@
 
 import re
 import struct
-from collections.abc import Iterator
 
-from jaxfit.data.headers import ISO_PICTURES, JPEG, PNG, START_OF_SCAN, jpeg_markers, largest_item, stored_size
+from jaxfit.data.headers import (
+    ISO_PICTURES,
+    JPEG,
+    PNG,
+    START_OF_FRAME,
+    START_OF_SCAN,
+    jpeg_markers,
+    largest_item,
+    stored_size,
+)
 
-_TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}  # the order of bytes; with a plus, large files
+TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}  # the order of bytes; with a plus, large files
 _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT = 256, 257, 258, 277, 322, 323
 _NUMBERS = {1: "B", 3: "H", 4: "I", 16: "Q"}  # TIFF's types of whole numbers
 _NETPBM = re.compile(rb"P[1-6Ff](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
+_NETPBM_DEPTH = re.compile(rb"P[2356](?:(?:\s|#[^\n]*\n)+\d{1,9}){2}(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 _PAM = re.compile(rb"P7\s.*?WIDTH\s+(\d{1,9}).*?HEIGHT\s+(\d{1,9})", re.DOTALL)
 _RADIANCE = re.compile(rb"#\?.*?\n\n[+-]Y (\d{1,9}) [+-]X (\d{1,9})\n", re.DOTALL)
 _SUN = b"\x59\xa6\x6a\x95"
+_MOST_BOXES = 4096  # before the pixels of a JPEG 2000 file
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
+_SEQUENTIAL = (0xC0, 0xC1, 0xC9)  # of JPEG's frames
+_FLOATS = (b"PF", b"Pf")  # Netpbm's
+_HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
 _HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
 
 
 def decoded_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels of what a decoder would make of a picture, tiles of TIFF files included; None of what
-    no decoder here reads."""
+    """Width and height in pixels of what a decoder would make of a picture, or of a larger tile of a TIFF file; None of
+    what no decoder here reads."""
     try:
         return stored_size(data) or _other_size(data)
     except (struct.error, ValueError):  # the header is cut off
@@ -28,33 +41,70 @@ def decoded_size(data: bytes) -> tuple[int, int] | None:
 
 def scans_of(data: bytes) -> int:
     """How often a decoder goes through a picture: the scans of a JPEG file, 1 of all else."""
-    if not data.startswith(JPEG):
+    if not data.startswith(JPEG) or _has_one_scan(data):
         return 1
     return max(1, sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data)))
 
 
-def is_deep(data: bytes) -> bool:
-    """Whether a PNG or TIFF picture has 16 bits."""
-    if data.startswith(PNG):
-        return data[24:25] == b"\x10"
-    if data[:4] in _TIFF:
-        try:
-            return dict(_tags(data)).get(_BITS) == 16
-        except (struct.error, ValueError):
-            return False
+def _has_one_scan(jpeg: bytes) -> bool:
+    """Whether a JPEG is neither progressive nor has a scan for each colour: what comes after its scan is not decoded.
+
+    Going through all of it for other markers would take as long as a twentieth of decoding it.
+    """
+    colours = None
+    for marker, at in jpeg_markers(jpeg):
+        if marker in START_OF_FRAME:
+            if marker not in _SEQUENTIAL:
+                return False
+            colours = jpeg[at + 7 : at + 8]
+        elif marker == START_OF_SCAN:
+            return colours is not None and jpeg[at + 2 : at + 3] == colours
     return False
 
 
+def weight_of(data: bytes) -> float:
+    """As how many pixels one of a picture counts, for the memory that its format takes: 1, or more."""
+    if data[:4] in TIFF:
+        try:
+            tags = tiff_tags(data, _BITS, _SAMPLES)
+        except (struct.error, ValueError):
+            return 1.0
+        return float(max(1, tags.get(_BITS, 8) * min(tags.get(_SAMPLES, 1), 64) // 48))  # a pixel may have many numbers
+    if (at := _codestream(data)) is not None:
+        return max(1.0, int.from_bytes(data[at + 40 : at + 42]) / 3)  # of 32 bits, however many it says
+    return _HEAVY if _is_iso(data) or data[:2] in _FLOATS else 1.0
+
+
+def slow_bytes(data: bytes) -> int:
+    """How many bytes of a picture are coded so densely that each takes long; 0 of most formats."""
+    return len(data) if _is_iso(data) or _codestream(data) is not None else 0
+
+
+def is_deep(data: bytes) -> bool:
+    """Whether a PNG, TIFF, Netpbm or JPEG 2000 picture has more than 8 bits, which OpenCV takes for 16."""
+    try:
+        if data.startswith(PNG):
+            return data[24:25] == b"\x10"
+        if data[:4] in TIFF:
+            return tiff_tags(data, _BITS).get(_BITS) == 16
+        if found := _NETPBM_DEPTH.match(data[:_HEAD]):
+            return int(found[1]) > 255
+        return (at := _codestream(data)) is not None and (data[at + 42] & 0x7F) > 7
+    except (struct.error, ValueError, IndexError):  # the header is cut off
+        return False
+
+
 def _other_size(data: bytes) -> tuple[int, int] | None:
-    if data[:4] in _TIFF:
+    if data[:4] in TIFF:
         return _tiff_size(data)
     if data[:4] == b"GIF8":
         width, height = struct.unpack_from("<HH", data, 6)
         return width, height
-    if data[4:8] == b"ftyp" and data[8:12] in ISO_PICTURES:
+    if _is_iso(data):
         return largest_item(data)
-    if data[:4] == _CODESTREAM or data[4:8] == b"jP  ":
-        return _jpeg_2000_size(data)
+    if (at := _codestream(data)) is not None:
+        right, bottom, left, top = struct.unpack_from(">IIII", data, at + 8)
+        return max(0, right - left), max(0, bottom - top)
     if data[:4] == _SUN:
         width, height = struct.unpack_from(">II", data, 4)
         return width, height
@@ -66,36 +116,66 @@ def _other_size(data: bytes) -> tuple[int, int] | None:
 
 
 def _tiff_size(data: bytes) -> tuple[int, int] | None:
-    tags = dict(_tags(data))
+    tags = tiff_tags(data, _WIDTH, _HEIGHT, _BITS, _SAMPLES, _TILE_WIDTH, _TILE_HEIGHT)
     width, height = tags.get(_WIDTH, 0), tags.get(_HEIGHT, 0)
-    # A small picture may be cut from a tile of any size, and a pixel may have many numbers.
+    # A small picture may be cut from a tile of any size.
     tile = (tags.get(_TILE_WIDTH, 0), tags.get(_TILE_HEIGHT, 0))
-    width, height = max((width, height), tile, key=lambda size: size[0] * size[1])
-    return width * max(1, tags.get(_BITS, 8) * min(tags.get(_SAMPLES, 1), 64) // 48), height
+    return max((width, height), tile, key=lambda size: size[0] * size[1])
 
 
-def _tags(data: bytes) -> Iterator[tuple[int, int]]:
-    """The numbers in the first directory of a TIFF file, by their tags; of several, the first."""
-    order, large = _TIFF[data[:4]], data[2:4] in (b"+\0", b"\0+")
-    (first,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, 8 if large else 4)
+def tiff_tags(data: bytes, *wanted: int) -> dict[int, int]:
+    """The numbers in the first directory of a TIFF file by their tags, of those that are wanted; of several numbers, or
+    tags, the first.
+
+    Raises:
+        struct.error, ValueError: it is cut off.
+    """
+    order, large = TIFF[data[:4]], data[2:4] in (b"+\0", b"\0+")
+
+    def offset(at: int) -> int:
+        """The place in the file that stands at another, which may be any number of 64 bits."""
+        (place,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, at)
+        if place > len(data):
+            raise ValueError("a place behind the end")
+        return int(place)
+
+    first = offset(8 if large else 4)
     (count,) = struct.unpack_from(f"{order}Q" if large else f"{order}H", data, first)
     entry, size, inline = (f"{order}HHQ", 20, 8) if large else (f"{order}HHI", 12, 4)
     first += 8 if large else 2
+    found: dict[int, int] = {}
     for number in range(min(count, 4096)):
         at = first + size * number
         tag, kind, several = struct.unpack_from(entry, data, at)
-        if kind not in _NUMBERS or not several:
+        if tag not in wanted or tag in found or kind not in _NUMBERS or not several:
             continue
         at += size - inline
         if struct.calcsize(_NUMBERS[kind]) * several > inline:
-            (at,) = struct.unpack_from(f"{order}Q" if large else f"{order}I", data, at)
-        (value,) = struct.unpack_from(f"{order}{_NUMBERS[kind]}", data, at)
-        yield tag, value
+            at = offset(at)
+        (found[tag],) = struct.unpack_from(f"{order}{_NUMBERS[kind]}", data, at)
+    return found
 
 
-def _jpeg_2000_size(data: bytes) -> tuple[int, int] | None:
-    at = data.find(_CODESTREAM)
-    if at < 0:
+def _is_iso(data: bytes) -> bool:
+    """Whether a file is HEIC or AVIF."""
+    return data[4:8] == b"ftyp" and data[8:12] in ISO_PICTURES
+
+
+def _codestream(data: bytes) -> int | None:
+    """Where the pixels of a JPEG 2000 file begin, with their size; None of other files."""
+    if data.startswith(_CODESTREAM):
+        return 0
+    if data[4:8] != b"jP  ":
         return None
-    right, bottom, left, top = struct.unpack_from(">IIII", data, at + 8)
-    return max(0, right - left), max(0, bottom - top)
+    at = 0
+    for _ in range(_MOST_BOXES):  # they say how long they are
+        if at + 16 > len(data):
+            break
+        size, kind = struct.unpack_from(">I4s", data, at)
+        size, head = (struct.unpack_from(">Q", data, at + 8)[0], 16) if size == 1 else (size, 8)
+        if kind == b"jp2c":
+            return at + head
+        if size < head:
+            break
+        at += size
+    return None

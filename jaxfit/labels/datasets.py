@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxfit.data.inputs import read_text
+from jaxfit.data.names import real_path
 from jaxfit.errors import InputError
 from jaxfit.labels.importers.aflw import read_aflw
 from jaxfit.labels.importers.aflw2000 import read_aflw2000
@@ -144,8 +145,13 @@ def read_datasets(specs: Sequence[str], scheme: str | Mapping[str, Any] | None =
         InputError: one is named twice, or its labels cannot be converted.
         DatasetError: one cannot be read.
     """
-    if len(set(specs)) < len(specs):
-        raise InputError(f"expected each dataset once; got {' '.join(specs)}")
+    known: dict[Spec, str] = {}
+    for spec in specs:
+        parts = parse_spec(spec)
+        place = parts._replace(path=real_path(parts.path))
+        if place in known:
+            raise InputError(f"expected each dataset once; got {known[place]} and {spec}, which are the same")
+        known[place] = spec
     datasets = [read_dataset(spec) for spec in specs]
     if scheme is None:
         return datasets

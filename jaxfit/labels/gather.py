@@ -9,6 +9,7 @@ from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets, shared_scheme
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord, copies_of
+from jaxfit.models.digests import same_pictures
 from jaxfit.schemes.conversions import convertible
 from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
@@ -56,7 +57,8 @@ def gather_faces(
         lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
         lift_yaw: of those, only faces turned by so many degrees or more.
         share: datasets of other landmarks, of which those that both have are taken (`share_labels`).
-        without: datasets to be tested on: faces in their pictures, or in others of the same file names, are left out.
+        without: datasets to be tested on: faces in their pictures, or in others of the same file names
+            or pixels, are left out.
         head_model: a bundled one's name, or a file.
 
     Raises:
@@ -119,11 +121,18 @@ def _source(dataset: Dataset) -> Path:
 
 def _without(parts: list[list[FaceRecord]], tested: Dataset) -> tuple[list[list[FaceRecord]], str]:
     """The faces of several datasets in other pictures than those of a tested one; and how many were left out."""
+    pictures = [face.image for face in tested.faces]
     copies: dict[Path, Path] = {}
     for part in parts:
-        copies |= copies_of([face.image for face in tested.faces], [face.image for face in part])
+        copies |= copies_of(pictures, [face.image for face in part])
+    renamed = same_pictures(pictures, {face.image for part in parts for face in part} - {*copies})
+    copies |= renamed
     kept = [[face for face in part if face.image not in copies] for part in parts]
     every, left = (sum(map(len, some)) for some in (parts, kept))
-    elsewhere = [(copy, picture) for copy, picture in copies.items() if copy.resolve() != picture.resolve()]
-    by_name = f"; some by their names, such as {elsewhere[0][0]} for {elsewhere[0][1]}" if elsewhere else ""
-    return kept, f"{every - left} of {every} faces left out: {tested.spec} has their pictures{by_name}"
+    elsewhere = [(copy, of) for copy, of in copies.items() if copy not in renamed and copy.resolve() != of.resolve()]
+    how = "".join(
+        f"; some by their {what}, such as {some[0][0]} for {some[0][1]}"
+        for what, some in (("names", elsewhere), ("pixels", sorted(renamed.items())))
+        if some
+    )
+    return kept, f"{every - left} of {every} faces left out: {tested.spec} has their pictures{how}"

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.headers import SIDEWAYS, exif_orientation, has_jpeg_header
+from jaxfit.data.headers import has_jpeg_header
 from jaxfit.data.inputs import open_regular
 from jaxfit.data.limits import most_picture_bytes
+from jaxfit.data.orientations import SIDEWAYS, orientation_of
 from jaxfit.data.pictures import read_grey
 from jaxfit.errors import ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord
@@ -30,7 +31,7 @@ def turned_pictures(pictures: Iterable[Path]) -> dict[Path, int]:
         try:
             with open_regular(picture, most_picture_bytes()) as file:
                 head = file.read(_HEAD)
-                orientation = exif_orientation(head if has_jpeg_header(head) else head + file.read())
+                orientation = orientation_of(head if has_jpeg_header(head) else head + file.read())
         except (OSError, ValueError):  # whoever needs the picture says so
             continue
         if orientation != 1:
@@ -50,8 +51,8 @@ def noticed(dataset: Dataset, spec: str, stored: str) -> Dataset:
     if not turned:
         return dataset
     notice = (
-        f"{spec}: EXIF data turn {_named(turned)}: labels are taken for those of the pictures as they are seen; "
-        f"if they belong to the pixels as they are stored, say {stored}"
+        f"{spec}: {_named(turned)}: seen otherwise than stored, as the files say; labels are taken for those of the "
+        f"pictures as they are seen; if they belong to the pixels as they are stored, say {stored}"
     )
     return replace(dataset, problems=(*dataset.problems, notice))
 

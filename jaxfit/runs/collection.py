@@ -17,7 +17,7 @@ import jaxfit
 from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs, state_of
 from jaxfit.data.locks import held
-from jaxfit.data.names import table_path
+from jaxfit.data.names import each_once, table_path
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, require_same_settings
 from jaxfit.data.threads import cores
 from jaxfit.errors import InputError, JaxfitError
@@ -80,7 +80,7 @@ def fit_collection(
         raise InputError(f"expected at least 1 picture a part, 1 worker and 0 GPUs; got {part}, {workers} and {gpus}")
     _require_ray()
     # Workers do not stand in this folder.
-    wanted = list(dict.fromkeys(os.path.abspath(picture) for picture in pictures))
+    wanted = list(map(os.path.abspath, each_once(pictures)))
     if str(fitter.model) not in bundled():
         fitter = replace(fitter, model=os.path.abspath(fitter.model))
     out = Path(out).absolute()

@@ -19,7 +19,7 @@ from jaxfit.data.detectors import all_rough
 from jaxfit.data.inputs import require_no_inputs, same_files
 from jaxfit.data.limits import counted_together, most_megapixels
 from jaxfit.data.locks import held
-from jaxfit.data.names import plain, table_path, unique_names
+from jaxfit.data.names import each_once, plain, table_path, unique_names
 from jaxfit.data.outputs import (
     MANIFEST,
     not_written,
@@ -140,6 +140,10 @@ class FolderReport:
         unused: names of pictures in the file of boxes that were not given.
         left_out: of the pictures that were given, those that an earlier run has written to the folder of the results.
         written: files and folders, in the folder of the results.
+        set_apart: how many faces stand in ``doubtful.csv`` instead of the tables, as their confidence is below the
+            least.
+        replaced: a sentence about a finished run of other settings whose results were in the folder; empty if there
+            was none.
     """
 
     pictures: int
@@ -150,6 +154,8 @@ class FolderReport:
     unused: tuple[str, ...]
     left_out: tuple[Path, ...]
     written: tuple[Path, ...]
+    set_apart: int
+    replaced: str
 
 
 def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progress = silent) -> FolderReport:
@@ -164,7 +170,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progres
 
     Args:
         run: what to do; its folder of results may hold those of an earlier run, which are replaced.
-        pictures: files, as ``jaxfit.data.find_images`` finds them in folders.
+        pictures: files, as ``jaxfit.data.find_images`` finds them in folders; one under several paths is fitted once.
         progress: called with the stage's name, pictures done and pictures in all.
 
     Raises:
@@ -177,7 +183,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progres
     model = model.unshifted() if run.unshift else model
     pipeline, named = _pipeline(run, model)
     with held(run.out, _COMMAND):
-        return _fit_held(run, pipeline, named, list(map(Path, pictures)), progress)
+        return _fit_held(run, pipeline, named, each_once(pictures), progress)
 
 
 def _fit_held(
@@ -207,7 +213,9 @@ def _fit_held(
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
     problems = [*(Unfit(row["image"], row[PROBLEM]) for row in unfinished.problems()), *starmap(Unfit, rows.failures)]
     write_csv(out / "problems.csv", ["image", "problem"], ((table_path(path), plain(why)) for path, why in problems))
+    set_apart = 0
     if run.min_confidence is not None:
+        set_apart = sum(1 for row in fitted if row["confidence"] < run.min_confidence)
         below = fitted.only(lambda row: row["confidence"] < run.min_confidence)
         values = ([table_text(value) for value in table_values("landmarks", row)] for row in below)
         write_csv(out / "doubtful.csv", fitted.tables()["landmarks"], values)
@@ -219,7 +227,7 @@ def _fit_held(
     written += ["problems.csv", *([_OVERLAYS] if run.overlays else [])]
     others = _unaccounted(out) if run.overwrite else []
     of_picture = dict(zip(map(str, files), labels, strict=True))
-    replace_results(out, _COMMAND, _files(out, written, rows, fitted, of_picture), settings, others)
+    replaced = replace_results(out, _COMMAND, _files(out, written, rows, fitted, of_picture), settings, others)
     written.append(MANIFEST)
     unfinished.discard()
     paths = tuple(out / name for name in written)
@@ -232,6 +240,8 @@ def _fit_held(
         unused=tuple(unused),
         left_out=tuple(left_out),
         written=paths,
+        set_apart=set_apart,
+        replaced=replaced,
     )
 
 

@@ -36,6 +36,7 @@ class BatchFitter:
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         cores: that a worker's threads keep busy; with a worker for each core, 1.
         max_megapixels: of a picture; larger ones are problems.
+        unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
 
     Raises:
         InputError: no such detector, or a number out of range.
@@ -47,6 +48,7 @@ class BatchFitter:
     refine: bool = False
     cores: int = 1
     max_megapixels: float = DEFAULT_MEGAPIXELS
+    unshift: bool = False
 
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
@@ -76,7 +78,7 @@ class BatchFitter:
             ModelError: the model file is damaged.
         """
         names, pictures = _pictures(batch)
-        pipeline = _pipeline(self.model, self.fitting, self.cores)
+        pipeline = _pipeline(self.model, self.fitting, self.cores, self.unshift)
         sources = [Source(picture, name_of(picture)) for picture in pictures]
         with at_most_cores(self.cores), at_most_megapixels(self.max_megapixels):
             (fits,) = stream(pipeline, [sources], len(sources))
@@ -116,11 +118,12 @@ def _bytes(data: Any) -> bytes:
 
 
 @cache
-def _pipeline(model: str | Path, fitting: Fitting, cores: int) -> Pipeline:
+def _pipeline(model: str | Path, fitting: Fitting, cores: int, unshift: bool) -> Pipeline:
     """What a process needs, once."""
     os.environ.setdefault("NPROC", str(cores))  # how many threads XLA starts, if it has not begun yet
     keep_compiled_code()
-    return fitting.pipeline(load(model))
+    loaded = load(model)
+    return fitting.pipeline(loaded.unshifted() if unshift else loaded)
 
 
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -1,6 +1,7 @@
 """What all commands have in common: bad input ends them at once, in one line that says what to do."""
 
 import argparse
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -64,6 +65,22 @@ def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.Ca
         with pytest.raises(SystemExit):
             main(["fit", "a.jpg", "--out", "out", option, value])
         assert f"argument {option}: invalid" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ("evaluate --data pts:x model --out out", "--data takes all words that follow, .*: put MODEL before it"),
+        ("fit --format csv photos --out out", "--format takes all words that follow, .*: put other words before it"),
+        ("fit --out out --format csv photos", "'photos'.*: put other words before it"),
+        ("fit --out out", "required: IMAGE_OR_DIR$"),
+        ("evaluate model --out out", "required: --data$"),
+    ],
+)
+def test_words_that_an_option_took_are_said(request_: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(request_.split())
+    assert re.search(words, capsys.readouterr().err.strip())
 
 
 def test_datasets_of_different_landmarks_are_not_mixed(

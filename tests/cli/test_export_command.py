@@ -34,9 +34,11 @@ def test_several_starts_are_exported_with_a_warning_if_the_model_was_trained_for
     drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "exported.safetensors"
-    arguments = ["--starts", "3", "--rotations", "-45", "45"]
+    arguments = ["--starts", "3", "--rotations", "-45", "45", "--unshift"]
     assert main(["export", str(drawn_model), "--out", str(out), *arguments]) == 0
-    assert "was trained for a single start" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "was trained for a single start" in said
+    assert f"--unshift: {drawn_model} knows of no shift of its labels" in said
     assert load_exported(out).starts == Starts(3, -45.0, 45.0)
 
 

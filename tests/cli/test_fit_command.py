@@ -53,7 +53,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FolderRun, list[Path]]]
     def fit_folder(run: FolderRun, pictures: Sequence[Path], progress: Callable[[str, int, int], None]) -> FolderReport:
         calls.append((run, list(pictures)))
         why = (Unfit("a.png", "the file is empty"),)
-        return FolderReport(12, 8, 0, 0, why, (), (), (Path("out") / "problems.csv",))
+        return FolderReport(12, 8, 0, 0, why, (), (), (Path("out") / "problems.csv",), 0, "")
 
     monkeypatch.setattr("jaxfit.cli.fit.fit_folder", fit_folder)
     return calls

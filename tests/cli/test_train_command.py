@@ -1,6 +1,7 @@
 """``jaxfit train``: what it learns from, what it writes, and what it prints."""
 
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -230,6 +231,8 @@ def test_training_without_the_pictures_of_the_test(
 ) -> None:
     """Training itself is replaced: this looks at what it gets."""
     elsewhere = [replace(face, image=tmp_path / "cut" / face.image.name, face="other") for face in heads[1:3]]
+    shutil.copy(heads[5].image, tmp_path / "renamed.png")
+    elsewhere.append(replace(heads[5], image=tmp_path / "renamed.png"))
     monkeypatch.setitem(FORMATS, "drawn", lambda _: Dataset("", AFLW21, heads[:6]))
     monkeypatch.setitem(FORMATS, "tested", lambda _: Dataset("", NO_LANDMARKS, tuple(map(unlabelled, elsewhere))))
     learned: list[FaceRecord] = []
@@ -240,8 +243,10 @@ def test_training_without_the_pictures_of_the_test(
 
     monkeypatch.setattr("jaxfit.cli.train.train", train)
     assert main(["train", "--data", "drawn:x", "--without", "tested:x", "--out", str(tmp_path / "m.safetensors")]) == 0
-    assert [face.face for face in learned] == [face.face for face in (heads[0], *heads[3:6])]
-    assert "2 of 6 faces left out: tested:x has their pictures" in capsys.readouterr().out
+    assert [face.face for face in learned] == [face.face for face in (heads[0], *heads[3:5])]
+    said = capsys.readouterr().out
+    assert "3 of 6 faces left out: tested:x has their pictures; some by their names, such as" in said
+    assert f"; some by their pixels, such as {heads[5].image} for {tmp_path / 'renamed.png'}" in said
 
 
 def test_a_person_who_is_lifted_and_shared_is_one_person(

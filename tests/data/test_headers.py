@@ -14,8 +14,10 @@ from exif_files import TURNS, oriented, with_segment
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxfit.data.headers import exif_orientation, stored_size
+from jaxfit.data.headers import stored_size
+from jaxfit.data.orientations import orientation_of
 from jaxfit.data.pictures import decode_image
+from jaxfit.data.sizes import decoded_size, is_deep
 
 LOSSLESS_WEBP = (cv2.IMWRITE_WEBP_QUALITY, 101)
 WAYS = [
@@ -74,7 +76,7 @@ def test_damaged_headers_raise_nothing(way: tuple, kept: int, noise: bytes) -> N
 def test_exif_data_may_stand_behind_other_segments(first: bytes) -> None:
     jpeg = cv2.imencode(".jpg", np.zeros((8, 24, 3), np.uint8))[1].tobytes()
     data = with_segment(with_segment(oriented(jpeg, 6), first), first)
-    assert exif_orientation(data) == 6
+    assert orientation_of(data) == 6
     assert decode_image(data).shape == (24, 8, 3)
 
 
@@ -98,18 +100,32 @@ def _webp(exif: bytes, late: bool) -> bytes:
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
-def _tiff(exif: bytes, late: bool) -> bytes:
+def _tiff(exif: bytes, late: bool, large: bool = False) -> bytes:
     order, orientation = ("<" if exif.startswith(b"II") else ">"), exif[18:20]
     height, width = PICTURE.shape[:2]
-    values = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: 8, 274: 0, 277: 1, 278: height, 279: width * height}
+    begin = 16 if large else 8
+    values = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: begin, 274: 0, 277: 1, 278: height}
+    values[279] = width * height
     entries = b"".join(
-        struct.pack(f"{order}HHI", tag, 3, 1)
+        struct.pack(f"{order}HHQ" if large else f"{order}HHI", tag, 3, 1)
         + (orientation if tag == 274 else struct.pack(f"{order}H", value))
-        + b"\0\0"
+        + b"\0" * (6 if large else 2)
         for tag, value in values.items()
     )
-    head = exif[:4] + struct.pack(f"{order}I", 8 + width * height) + PICTURE[..., 0].tobytes()
-    return head + struct.pack(f"{order}H", len(values)) + entries + b"\0" * 4
+    end = begin + width * height
+    head = struct.pack(f"{order}HHHQ", 43, 8, 0, end) if large else struct.pack(f"{order}HI", 42, end)
+    count = struct.pack(f"{order}Q" if large else f"{order}H", len(values))
+    return exif[:2] + head + PICTURE[..., 0].tobytes() + count + entries + b"\0" * 8
+
+
+def _large_tiff(exif: bytes, late: bool) -> bytes:
+    return _tiff(exif, late, large=True)
+
+
+def _avif(exif: bytes, late: bool) -> bytes:
+    # The encoder turns the picture by AVIF's own properties, as the EXIF data say.
+    encoded = cv2.imencodeWithMetadata(".avif", PICTURE, [cv2.IMAGE_METADATA_EXIF], [np.frombuffer(exif, np.uint8)])
+    return encoded[1].tobytes()
 
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (6, 10, 3), np.uint8)
@@ -117,15 +133,33 @@ PICTURE = np.random.default_rng(0).integers(0, 256, (6, 10, 3), np.uint8)
 
 @pytest.mark.parametrize("order", "<>")
 @pytest.mark.parametrize("late", [False, True])
-@pytest.mark.parametrize("made", [_png, _webp, _tiff])
+@pytest.mark.parametrize("made", [_png, _webp, _tiff, _large_tiff, _avif])
 def test_orientations_are_those_that_pictures_are_read_by(
     made: Callable[[bytes, bool], bytes], late: bool, order: str
 ) -> None:
     plain = decode_image(made(_exif_of(1, order), late))
     for orientation, turn in TURNS.items():
         data = made(_exif_of(orientation, order), late)
-        assert exif_orientation(data) == orientation
+        assert orientation_of(data) == orientation
         np.testing.assert_array_equal(decode_image(data), turn(plain))
+        np.testing.assert_array_equal(decode_image(data, exif=False), plain)
         for cut in range(0, len(data), 7):
-            assert 1 <= exif_orientation(data[:cut]) <= 8
-    assert exif_orientation(made(_exif_of(9, order), late)) == 1
+            assert 1 <= orientation_of(data[:cut]) <= 8
+    assert orientation_of(made(_exif_of(9, order), late)) == 1
+
+
+@given(
+    made=st.sampled_from([_png, _webp, _tiff, _large_tiff, _avif]),
+    order=st.sampled_from("<>"),
+    changes=st.lists(st.tuples(st.integers(0, 500), st.integers(0, 255)), max_size=5),
+)
+def test_damaged_orientations_raise_nothing(
+    made: Callable[[bytes, bool], bytes], order: str, changes: list[tuple[int, int]]
+) -> None:
+    data = bytearray(made(_exif_of(6, order), False))
+    for at, value in changes:
+        data[at % len(data)] = value
+    for damaged in (bytes(data), bytes(data).replace(b"\0\0\0\0", b"\xff\xff\xff\xff")):
+        assert 1 <= orientation_of(damaged) <= 8
+        assert decoded_size(damaged) is None or min(decoded_size(damaged) or ()) >= 0
+        assert is_deep(damaged) in (True, False)

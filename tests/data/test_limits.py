@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from jaxfit.data import limits
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels, counted_together, most_megapixels
 from jaxfit.data.pictures import decode_image, find_images, read_grey, read_image
 from jaxfit.data.sizes import decoded_size, scans_of
@@ -56,7 +57,7 @@ def test_sizes_of_all_formats_stand_in_their_headers(suffix: str) -> None:
     assert decoded_size(data) == (80, 60)
     with (
         at_most_megapixels(0.004),
-        pytest.raises(ImageError, match="80 x 60 pixels are 0 megapixels; expected at most"),
+        pytest.raises(ImageError, match=r"80 x 60 pixels .* 0 megapixels; expected at most"),
     ):
         decode_image(data)
     assert decode_image(data).shape == (60, 80, 3)
@@ -81,6 +82,15 @@ def tiff(tags: dict[int, int], large: bool = False, order: str = "<") -> bytes:
     return head + b"".join(struct.pack(f"{order}HHII", tag, 4, 1, value) for tag, value in tags.items())
 
 
+def codestream(side: int, numbers: int) -> bytes:
+    """The head of JPEG 2000's pixels."""
+    return b"\xff\x4f\xff\x51\0\x2f\0\0" + struct.pack(">8IH", side, side, 0, 0, side, side, 0, 0, numbers)
+
+
+def box(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", 8 + len(data)) + kind + data
+
+
 SIDE = 40_000  # 1,600 megapixels
 BOMBS: dict[str, bytes] = {
     "PNG": png(SIDE, SIDE),
@@ -91,9 +101,15 @@ BOMBS: dict[str, bytes] = {
     "BigTIFF": tiff({256: SIDE, 257: SIDE}, large=True),
     "TIFF of one tile": tiff({256: 10, 257: 10, 322: SIDE, 323: SIDE}),
     "TIFF of many numbers a pixel": tiff({256: 8000, 257: 8000, 258: 64, 277: 16}),
+    "Netpbm, floats": b"PF\n9000 9000\n-1\n",
     "BMP": b"BM" + bytes(12) + struct.pack("<Iii", 40, SIDE, -SIDE) + bytes(40),
     "AVIF": b"\0\0\0\x18ftypavif" + bytes(12) + b"ispe\0\0\0\0" + struct.pack(">II", SIDE, SIDE),
-    "JPEG 2000": b"\xff\x4f\xff\x51\0\x2f\0\0" + struct.pack(">IIII", SIDE, SIDE, 0, 0),
+    "AVIF, smaller": b"\0\0\0\x18ftypavif" + bytes(12) + b"ispe\0\0\0\0" + struct.pack(">II", 9000, 9000),
+    "JPEG 2000": codestream(SIDE, 3),
+    "JPEG 2000 of many numbers a pixel": codestream(8000, 16),
+    "JPEG 2000 behind another": b"\0\0\0\x0cjP  \r\n\x87\n"
+    + box(b"free", codestream(8, 3))
+    + box(b"jp2c", codestream(SIDE, 3)),
     "Netpbm": b"P4 # a comment\n40000 # more\n 40000\n",
     "PAM": b"P7\nDEPTH 3\nWIDTH 40000\nHEIGHT 40000\nENDHDR\n",
     "Radiance": b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 40000 +X 40000\n",
@@ -114,6 +130,9 @@ def test_scans_of_a_jpeg_are_counted() -> None:
     usual = encoded(".jpg", JPEG_PROGRESSIVE=1)
     assert 5 < scans_of(usual) < 15
     assert scans_of(encoded(".jpg")) == 1
+    colours = encoded(".jpg").replace(b"\xff\xda\0\x0c\x03", b"\xff\xda\0\x08\x01")  # each in its own scan
+    at = colours.rindex(b"\xff\xda")
+    assert scans_of(colours[:at] + colours[at:-2] * 200 + colours[-2:]) == 200
     decode_image(usual)
     at = usual.rindex(b"\xff\xda")  # the last scan, again and again
     bomb = usual[:at] + usual[at:-2] * 200 + usual[-2:]
@@ -121,6 +140,16 @@ def test_scans_of_a_jpeg_are_counted() -> None:
     with pytest.raises(ImageError, match=r"progressive JPEG of 2\d\d scans .* takes too long"):
         decode_image(bomb)
     assert time.monotonic() - begun < 1
+
+
+@pytest.mark.parametrize("suffix", [".avif", ".jp2"])
+def test_files_whose_bytes_take_long_are_small(suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = encoded(suffix)
+    monkeypatch.setattr(limits, "_MOST_SLOW_BYTES", len(data))
+    decode_image(data)
+    monkeypatch.setattr(limits, "_MOST_SLOW_BYTES", len(data) - 1)
+    with pytest.raises(ImageError, match="bytes in this format takes too long; save it as JPEG or PNG"):
+        decode_image(data)
 
 
 def test_limits_reach_threads_and_end() -> None:
@@ -208,18 +237,6 @@ def test_damage_is_told_of_its_picture_alone(capfd: pytest.CaptureFixture[str]) 
     printed = err.replace(">", "").split("<")[1:]
     assert {*printed} <= {str(number) for number in range(60)}
     assert 55 <= len(printed) <= 60
-
-
-@pytest.mark.parametrize("suffix", [".png", ".tiff"])
-def test_files_of_16_bits_that_use_8_are_refused(suffix: str) -> None:
-    grey = np.arange(4800, dtype=np.uint16).reshape(60, 80)
-    for picture, words in ((grey % 256, "largest value is 255"), (grey * 13, None), (grey * 0, None)):
-        data = cv2.imencode(suffix, picture)[1].tobytes()
-        if words is None:
-            decode_image(data)
-        else:
-            with pytest.raises(ImageError, match=words):
-                decode_image(data)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes with names")

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from jaxfit.data.overlays import draw_head, draw_landmarks
+from jaxfit.data.overlays import draw_head, draw_landmarks, draw_name
 from jaxfit.errors import ImageError, InputError
 from jaxfit.schemes.known import AFLW21, IBUG68
 from jaxfit.schemes.scheme import Scheme
@@ -59,6 +59,23 @@ def test_colours_and_what_lies_on_top():
 def test_faces_are_drawn_as_boldly_whatever_the_resolution(size):
     drawn = draw_landmarks(np.zeros((size, size), np.uint8), ring(68, size / 2, size / 3), IBUG68)
     assert 0.01 < (drawn.max(2) > 100).mean() < 0.2
+
+
+def test_small_faces_are_not_hidden_by_their_landmarks():
+    for size in (45, 85):
+        drawn = draw_landmarks(np.zeros((size, size), np.uint8), ring(68, size / 2, size / 3), IBUG68)
+        assert 0.01 < (drawn.max(2) > 200).mean() < 0.12
+    assert draw_landmarks(np.zeros((9, 9), np.uint8), np.array([[4.0, 4.0]]), POINT)[4, 4].tolist() == CYAN
+
+
+@pytest.mark.parametrize("name", ["1", "12: 0.34"])
+@pytest.mark.parametrize("corner", [(0, 0), (-30, -30), (190, 0), (0, 160), (250, 170), (80, 2)])
+def test_names_of_faces_at_the_edges_are_whole(corner, name):
+    def letters(corner):
+        drawn = draw_name(np.full((180, 240), 128, np.uint8), name, np.array([*corner, 60.0, 60.0]))
+        return [np.sort(drawn[(drawn != 128).any(2)], axis=0).tolist()]
+
+    assert letters(corner) == letters((80, 90))
 
 
 def test_unknown_and_distant_points_are_survived():

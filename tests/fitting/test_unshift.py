@@ -2,12 +2,17 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import jaxfit
+from jaxfit.cli import serve
 from jaxfit.cli.main import main
+from jaxfit.errors import InputError
+from jaxfit.fitting.pipeline import Pipeline
+from jaxfit.runs import BatchFitter, workers
 
 SHIFT = 1.5
 BOXES = np.array([[36.0, 41.0, 48.0, 48.0], [30.0, 44.0, 50.0, 50.0]])
@@ -45,3 +50,28 @@ def test_tables_of_the_command(drawn: Path, drawn_model: Path, tmp_path: Path, c
         found[model, len(option)] = np.array(row.split(",")[-10:], float)  # of five landmarks
         assert ("knows of no shift" in capsys.readouterr().err) == (model == "plain")
     assert 0.5 < np.abs(found["shifted", 0] - found["shifted", 1]).max() < 3.0
+
+
+def test_workers_and_the_page_move_fits_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What fits and serves is replaced: this looks at the models that it gets."""
+    shifts = []
+
+    def stream(pipeline: Pipeline, *_: Any) -> list[jaxfit.Fits]:
+        shifts.append(pipeline.model.cascade.frame.shift)
+        return [jaxfit.fit(pipeline.model, [])]
+
+    def service(models: dict[str, jaxfit.Model], _: Any) -> None:
+        shifts.extend(model.cascade.frame.shift for model in models.values())
+        raise InputError("seen")
+
+    monkeypatch.setattr(workers, "stream", stream)
+    monkeypatch.setattr(serve, "Service", service)
+    for unshift in (False, True):
+        BatchFitter("face68", jaxfit.Fitting("whole"), unshift=unshift)({"image": []})
+        assert main(["serve", "--model", "face68", "sdm68", "--detector", "whole", *["--unshift"] * unshift]) == 2
+    shift = jaxfit.load("face68").cascade.frame.shift
+    assert shift > 0
+    assert shifts == [shift, shift, 0, 0, 0, 0]
+    assert "no shift of labels is known of sdm68: their fits stay" in capsys.readouterr().out

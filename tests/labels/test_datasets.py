@@ -8,7 +8,7 @@ import pytest
 
 from jaxfit.data.pts import write_pts
 from jaxfit.errors import InputError
-from jaxfit.labels.datasets import convert_dataset, read_dataset
+from jaxfit.labels.datasets import convert_dataset, read_dataset, read_datasets
 from jaxfit.labels.records import Dataset, FaceRecord, copies_of
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW29
 
@@ -75,6 +75,17 @@ def test_a_converted_point_is_known_and_seen_where_all_its_sources_are():
 def test_labels_that_cannot_be_converted_name_their_dataset():
     with pytest.raises(InputError, match="aflw:folder: cannot convert landmarks from aflw21 to lfpw29; known"):
         convert_dataset(Dataset("aflw:folder", AFLW21, ()), LFPW29)
+
+
+@pytest.mark.parametrize("other", ["{}", "{}/", "{}/../{}", "link"])
+def test_a_dataset_under_two_spellings_is_one(other, tmp_path, monkeypatch):
+    (tmp_path / "faces").mkdir()
+    (tmp_path / "link").symlink_to("faces")
+    monkeypatch.chdir(tmp_path)
+    specs = ["pts:faces", "pts:" + other.format("faces", "faces")]
+    for names in (specs, specs[:1] * 2):
+        with pytest.raises(InputError, match=f"each dataset once; got pts:faces and {names[1]}, which are the same"):
+            read_datasets(names)
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,28 @@ def test_the_picture_of_a_face_without_one_is_a_jpeg_that_cannot_be_read(tmp_pat
         read_image(read_pts_folder(tmp_path).faces[1].image)
 
 
+def test_labels_of_faces_that_were_fitted_find_their_picture(tmp_path):
+    """``NAME_1.pts`` is what fits write of the first face in ``NAME.jpg``, and the label of ``NAME_1.jpg``."""
+    for stem in ("a", "b", "b_1", "c", "c_2", "d_1"):
+        write_pts_face(tmp_path, stem)
+    for stem in ("a_1", "a_2"):
+        write_pts_face(tmp_path, stem, picture="")
+    for stem in ("a", "c"):
+        (tmp_path / f"{stem}.pts").unlink()
+    dataset = read_pts_folder(tmp_path)
+    found = {face.face: (face.image.name, face.subject) for face in dataset.faces}
+    assert found == {
+        "a_1": ("a.jpg", "a"),
+        "a_2": ("a.jpg", "a"),
+        "b": ("b.jpg", "b"),
+        "b_1": ("b_1.jpg", "b"),
+        "d_1": ("d_1.jpg", "d"),
+    }
+    (problem,) = dataset.problems
+    assert f"{tmp_path / 'c_2.pts'}: may belong to {tmp_path / 'c_2.jpg'} or" in problem
+    assert str(tmp_path / "c.jpg") in problem
+
+
 def test_folders_without_faces(tmp_path):
     with pytest.raises(DatasetError, match="expected a folder"):
         read_pts_folder(tmp_path / "missing")

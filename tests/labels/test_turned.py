@@ -59,7 +59,7 @@ def test_fitted_faces_are_labels_whatever_exif_says(
     assert report["fitted"] == 8
     assert report["nmed"]["median"] < 1e-4
     said = capsys.readouterr().err
-    assert f"EXIF data turn {folder / '2.jpg'} (orientation 2), {folder / '3.jpg'} (orientation 3)" in said
+    assert f"pts:{folder}: {folder / '2.jpg'} (orientation 2), {folder / '3.jpg'} (orientation 3)" in said
     assert f"say pts@stored:{folder}" in said
 
 

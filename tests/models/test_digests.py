@@ -12,7 +12,7 @@ from jaxfit.data.pictures import read_grey, write_image
 from jaxfit.errors import ModelError
 from jaxfit.evaluation import Evaluation, start_boxes
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
-from jaxfit.models.digests import DigestingReader, digest_set, picture_digest, union
+from jaxfit.models.digests import DigestingReader, digest_set, picture_digest, same_pictures, union
 from jaxfit.models.files import write_tensors
 
 
@@ -34,6 +34,18 @@ def test_digests_are_those_of_pixels(tmp_path: Path) -> None:
         [tmp_path / name for name in ("a.png", "b.bmp", "damaged.png", "missing.png")], digests
     ).tolist()
     assert found == [True, True, False, False]
+
+
+def test_renamed_copies_are_known_by_their_pixels(tmp_path: Path) -> None:
+    tall = np.random.default_rng(1).integers(0, 255, (12, 9, 3), np.uint8)
+    pictures = {"a.png": tall, "copy.bmp": tall, "other.png": 255 - tall, "turned.png": tall.swapaxes(0, 1)}
+    for name, picture in pictures.items():
+        write_image(tmp_path / name, picture)
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "damaged.png").write_bytes((tmp_path / "a.png").read_bytes()[:-20])
+    tested = [tmp_path / name for name in ("missing.png", "empty.png", "a.png")]
+    others = [tmp_path / name for name in (*pictures, "gone.png", "damaged.png") if name != "a.png"]
+    assert same_pictures(tested, others) == {tmp_path / "copy.bmp": tmp_path / "a.png"}
 
 
 def test_what_is_unknown_stays_unknown() -> None:

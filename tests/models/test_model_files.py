@@ -4,6 +4,7 @@
 # mypy: disable-error-code="attr-defined"
 
 import itertools
+import json
 import os
 import pickle
 import struct
@@ -249,6 +250,17 @@ def test_any_value_anywhere_in_the_header_gives_a_model_or_a_model_error(good, l
 )
 def test_values_out_of_any_sense_are_refused(good, loaded, change):
     assert isinstance(loaded(repacked(good, change)), str)
+
+
+def test_numbers_that_overlap_or_lie_elsewhere_are_refused(good, loaded):
+    length = int.from_bytes(good[:8], "little")
+    header, numbers = json.loads(good[8 : 8 + length]), good[8 + length :]
+    tensors = sorted((name for name in header if name != "__metadata__"), key=lambda name: header[name]["data_offsets"])
+    for name, moved in itertools.product(tensors, (-4, -2, 2, 1 << 20, -(1 << 20), 1 << 62)):
+        changed = json.loads(json.dumps(header))
+        changed[name]["data_offsets"] = [place + moved for place in header[name]["data_offsets"]]
+        text = json.dumps(changed).encode()
+        assert isinstance(loaded(struct.pack("<Q", len(text)) + text + numbers), str), (name, moved)
 
 
 def test_missing_entries_are_refused(good, loaded):

@@ -319,7 +319,10 @@ def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: P
     (out / "manifest.json").write_text(json.dumps(manifest))
     for kept in (tmp_path / "kept.csv", out / "pts" / "mine.pts", out / "notes.txt"):
         kept.write_text("mine")
-    fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2])
+    said = fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2]).replaced
+    assert f"replaced what `jaxfit fit` wrote to {out} at " in said
+    assert "overlays: true there, false here; pictures: 3 there, 1 here" in said
+    assert fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2]).replaced == ""
     there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert there == {"landmarks.csv", "problems.csv", "manifest.json", "pts/mine.pts", "notes.txt"}
     assert (tmp_path / "kept.csv").exists()
@@ -530,7 +533,8 @@ def test_doubtful_faces_stand_apart_if_so_wished(
     everything = fit_folder(FolderRun(tmp_path / "all", drawn_model, boxes=boxes), pictures)
     assert (everything.faces, everything.doubtful) == (10, 3)
     rows = read_csv(tmp_path / "all" / "landmarks.csv")
-    fit_folder(FolderRun(tmp_path / "some", drawn_model, boxes=boxes, min_confidence=0.5), pictures)
+    some = fit_folder(FolderRun(tmp_path / "some", drawn_model, boxes=boxes, min_confidence=0.5), pictures)
+    assert (some.faces, some.set_apart, everything.set_apart) == (10, 3, 0)
     sure, doubtful = (read_csv(tmp_path / "some" / name) for name in ("landmarks.csv", "doubtful.csv"))
     assert sure == [row for row in rows if row["ok"] == "1"]
     assert doubtful == [row for row in rows if row["ok"] == "0"]

@@ -23,7 +23,7 @@ KIND = "yunet"
 _FILE = "face_detection_yunet_2023mar.onnx"
 # Of labelled faces that are 16 pixels wide for the network, half have the usual score and 9 in 10 the score of
 # doubtful finds; of 20 pixels 76 and 99 in 100; of 32 pixels all have both. Faces of 600 pixels are still found.
-_QUICK, _CLEAR = 20.0, 32.0  # width of the smallest face, in the network's pixels, at first and if no face is sure
+_QUICK, _CLEAR = 18.0, 32.0  # width of the smallest face, in the network's pixels, at first and if no face is sure
 _CLOSE = 40.0  # width up to which a find is looked at closer, in a patch
 _LEAST = 0.67  # of the smallest face's width that a find has at least: more of what is smaller is no face
 _LARGEST = 640  # longer side, in the network's pixels, from which a coarser level looks for larger faces
@@ -42,7 +42,7 @@ _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual scor
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
 _MOST_SMALL, _MOST_TURNED = 200, 30  # of them in a picture that are looked at closer, and turned
 _CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
-_FRAME = Frame(crop=256, face=128.0)
+_FRAME = Frame(crop=192, face=96.0)
 _CLOSER = Frame(crop=96, face=60.0)  # of closer looks: small, as most of them go to upright faces
 _SIDES = (45.0, -45.0, 90.0, -90.0)
 _ALL_SIDES = (*_SIDES, 135.0, -135.0, 180.0)
@@ -181,16 +181,16 @@ class YuNet:
         """A find as it is seen where the picture is turned so that it is upright: the network is less sure of turned
         faces, believes them to be less turned than they are, and draws other boxes around them. Where no face is seen,
         the find stays as it is, with the score 0 if it lies or stands on its head."""
-        upright, sides = abs(face.rotation) < _UPRIGHT, _ALL_SIDES if self.search.any_rotation else _SIDES
-        if face.score >= _SURE and upright:
-            return face
-        degrees = face.rotation
-        if face.score < _SURE:
-            small = {turn: self._turned(bgr, face, turn, _CLOSER)[0].score for turn in (face.rotation, *sides)}
-            small[face.rotation] += _BETTER
-            degrees = max(small, key=lambda turn: small[turn])
-        if face.score >= _LIKELY and upright and degrees == face.rotation:
-            return face
+        score, degrees = face.score, face.rotation
+        if score < _SURE:
+            score = max(score, self._turned(bgr, face, degrees, _CLOSER)[0].score)
+        if score < _SURE:
+            sides = _ALL_SIDES if self.search.any_rotation else _SIDES
+            turned = {side: self._turned(bgr, face, side, _CLOSER)[0].score for side in sides}
+            side = max(turned, key=lambda side: turned[side])
+            degrees = side if turned[side] > score + _BETTER else degrees
+        if score >= _LIKELY and abs(face.rotation) < _UPRIGHT and degrees == face.rotation:
+            return replace(face, score=score)
         best, settled = self._turned(bgr, face, degrees)
         for _ in range(_LOOKS):
             if not settled:

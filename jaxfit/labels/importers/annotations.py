@@ -9,10 +9,10 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from jaxfit.data.headers import SIDEWAYS
 from jaxfit.data.inputs import read_text
 from jaxfit.data.names import plain
 from jaxfit.data.numbers import number
+from jaxfit.data.orientations import SIDEWAYS
 from jaxfit.data.pictures import picture_size
 from jaxfit.errors import DatasetError, ImageError, InputError
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures

@@ -14,8 +14,10 @@ from jaxfit.schemes.known import scheme_of_count
 
 
 def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
-    """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, ``.jpg`` if there is none.
-    Of several such pictures the first by name is taken, which is reported.
+    """Every ``.pts`` directly in ``folder``, sorted by name; its picture has the same stem, or, as ``NAME_1.pts`` of
+    fits, the stem before the last ``_`` and number; it is a ``.jpg`` of the same stem if there is none. Of several
+    pictures of a stem the first by name is taken, which is reported. Where there are both kinds of picture, and no
+    ``NAME.pts``, either may be meant: such files become problems.
 
     All faces have the number of points that most files have; files that cannot be used become problems. Points
     ``nan nan`` are missing; a point at (0, 0) or (-1, -1) is a point.
@@ -38,11 +40,21 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if path.suffix.lower() in READABLE_SUFFIXES:
             pictures.setdefault(path.stem, []).append(path)
     found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
-    problems += [
-        f"{path}: {pictures[path.stem][0].name} and {pictures[path.stem][1].name} have its name; the first is taken"
-        for path in found
-        if len(pictures.get(path.stem, ())) > 1
-    ]
+    labelled = {path.stem for path in found}
+    of_label: dict[Path, Path] = {}
+    for path in found:
+        own, of_fit = pictures.get(path.stem, []), pictures.get(_picture_stem(path), [])
+        if own and of_fit and _picture_stem(path) not in labelled:
+            problems.append(
+                f"{path}: may belong to {own[0]} or, as a face that was fitted in it, to {of_fit[0]}; move one of the "
+                f"pictures elsewhere, or give {of_fit[0].name} its own .pts"
+            )
+            continue
+        some = own or of_fit or [path.with_suffix(".jpg")]
+        of_label[path] = some[0]
+        if len(some) > 1:
+            problems.append(f"{path}: {some[0].name} and {some[1].name} have its name; the first is taken")
+    found = {path: found[path] for path in of_label}
     if not found:
         reason = f"; first problem: {problems[0]}" if problems else ""
         expected = "expected .pts files, each with a picture of the same name beside it"
@@ -54,9 +66,7 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
         if len(landmarks) != count
     ]
     faces = tuple(
-        _record(pictures.get(path.stem, [path.with_suffix(".jpg")])[0], landmarks)
-        for path, landmarks in found.items()
-        if len(landmarks) == count
+        _record(path.stem, of_label[path], landmarks) for path, landmarks in found.items() if len(landmarks) == count
     )
     check_pictures(folder, faces)
     spec = f"{'pts' if base == 1 else 'pts0'}:{folder}"
@@ -73,7 +83,13 @@ def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray
     return found, problems
 
 
-def _record(picture: Path, landmarks: np.ndarray) -> FaceRecord:
+def _picture_stem(label: Path) -> str:
+    """The stem of the picture that a ``.pts`` file is of, if it is one of those that fits write: ``NAME_1.pts``."""
+    numbered = re.fullmatch(r"(.+)_[0-9]+", label.stem)
+    return numbered[1] if numbered else ""
+
+
+def _record(face: str, picture: Path, landmarks: np.ndarray) -> FaceRecord:
     present = np.isfinite(landmarks).all(1)
     # One or two trailing digits number the pictures of one subject; longer numbers are names (image_0001).
     numbered = re.fullmatch(r"(.+)_[0-9]{1,2}", picture.stem)
@@ -85,5 +101,5 @@ def _record(picture: Path, landmarks: np.ndarray) -> FaceRecord:
         box=None,
         pose=None,
         subject=numbered[1] if numbered else picture.stem,
-        face=picture.stem,
+        face=face,
     )
