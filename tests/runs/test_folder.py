@@ -102,7 +102,7 @@ def test_every_format_is_written_and_nothing_else(whole: tuple[FolderReport, Pat
         *("landmarks.tps", "landmarks.xml"),
         *("contact-sheet.jpg", "pts", "overlays", "manifest.json"),
     }
-    assert len(report.written) == 9
+    assert len(report.written) == 11
 
 
 def test_tables_pts_files_and_overlays_show_the_faces(whole: tuple[FolderReport, Path], drawn: Path) -> None:
