@@ -28,7 +28,7 @@ from jaxfit.data.headers import (
 from jaxfit.data.inputs import open_regular, read_regular
 from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.names import each_once
-from jaxfit.data.orientations import as_seen, as_stored, orientation_of
+from jaxfit.data.orientations import SIDEWAYS, as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of, slow_bytes, weight_of
 from jaxfit.data.threads import interruptible

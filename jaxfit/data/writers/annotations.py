@@ -141,16 +141,16 @@ def relative_to(folder: Path, rows: Rows) -> Rows:
     return replace(rows, begin=lambda: map(named, rows.begin()))
 
 
-def _results(write: Callable[[Path, Rows], None], name: str) -> Callable[[Path, Rows], list[str]]:
-    def write_results(folder: Path, rows: Rows) -> list[str]:
-        write(folder / name, relative_to(folder, rows))
-        return [name]
-
-    return write_results
+def write_tps_results(folder: Path, rows: Rows) -> list[str]:
+    """``landmarks.tps``."""
+    write_tps(folder / "landmarks.tps", relative_to(folder, rows))
+    return ["landmarks.tps"]
 
 
-write_tps_results = _results(write_tps, "landmarks.tps")
-write_imglab_results = _results(write_imglab, "landmarks.xml")
+def write_imglab_results(folder: Path, rows: Rows) -> list[str]:
+    """``landmarks.xml``."""
+    write_imglab(folder / "landmarks.xml", relative_to(folder, rows))
+    return ["landmarks.xml"]
 
 
 def _box_of(row: Row) -> list[int]:
