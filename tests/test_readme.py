@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn_faces import draw_face
 from scipy.io import savemat
 
 import jaxfit
@@ -20,7 +21,7 @@ from jaxfit.schemes.conversions import convert
 from jaxfit.schemes.known import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDES = ("index", "command-line", "training", "python")
+GUIDES = ("index", "command-line", "training", "own-objects", "python")
 PAGES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in GUIDES)]
 # What needs an installer or would run these very tests again; the Makefile's targets are looked up instead.
 NOT_RUN = {"pip install .", "make everything"}
@@ -65,9 +66,30 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             write_pts(name.with_suffix(".pts"), points - [left, top] + rng.normal(0, 1, points.shape))
     (toml,) = blocks(ROOT / "docs" / "training.md", "toml")
     (folder / "compare.toml").write_text(toml, encoding="utf-8")
+    scheme, folds = blocks(ROOT / "docs" / "own-objects.md", "toml")
+    (folder / "wing.toml").write_text(scheme, encoding="utf-8")
+    (folder / "folds.toml").write_text(folds, encoding="utf-8")
+    _draw_wings(folder)
     _write_aflw(folder / "aflw", portrait, convert(points, IBUG68, AFLW21))
     _write_aflw2000(folder / "AFLW2000", portrait, points)
     return folder
+
+
+def _draw_wings(folder: Path) -> None:
+    """Objects with five points: labelled, in TPS files whose y counts from the bottom, and new ones."""
+    rng = np.random.default_rng(0)
+    for part, count in {"wings.tps": 10, "test.tps": 4, "": 2}.items():
+        into = folder / ("wings" if part else "new")
+        into.mkdir(exist_ok=True)
+        specimens = ""
+        for number in range(count):
+            picture, points = draw_face(rng)
+            name = f"{part.partition('.')[0]}{number}.png"
+            write_image(into / name, picture)
+            rows = "".join(f"{x:.2f} {len(picture) - y:.2f}\n" for x, y in points)
+            specimens += f"LM={len(points)}\n{rows}IMAGE={name}\nID={number}\n"
+        if part:
+            (into / part).write_text(specimens, encoding="utf-8")
 
 
 def _write_aflw(folder: Path, picture: np.ndarray, points: np.ndarray) -> None:
@@ -119,6 +141,10 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "tracked/overlay.webm",
         "results-3d/report.json",
         "runs/report/report.html",
+        "wings/wings.xml",
+        "fitted/keypoints.json",
+        "measured/report.json",
+        "folds/report/report.html",
     ):
         assert (folder / written).stat().st_size > 0
 

@@ -45,8 +45,18 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         "right and down by so many pixels; labels of FORMAT@stored:PATH belong to the pixels as they are stored, "
         "whatever EXIF data say",
     )
-    command.add_argument("--scheme", choices=SCHEMES, help="convert the labels to this landmark scheme")
+    add_scheme(command)
     add_max_megapixels(command)
+
+
+def add_scheme(command: argparse.ArgumentParser) -> None:
+    """``--scheme NAME``."""
+    command.add_argument(
+        "--scheme",
+        metavar="NAME",
+        help=f"what the landmarks mean: convert the labels to {', '.join(SCHEMES)}, or points<N>, N points that only "
+        "have numbers; or a scheme of your own, a TOML file or table such as '{mirror = [[1, 4]], lines = [[1, 2]]}'",
+    )
 
 
 def add_max_megapixels(command: argparse.ArgumentParser) -> None:

@@ -28,7 +28,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "started again; of a collection that has grown, what is new is fitted.",
     )
     add_pictures(command)
-    add_detector(command, "finds the faces; yunet, a small network, unless given")
+    add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
     add_unshift(command)

@@ -2,7 +2,7 @@
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -24,7 +24,14 @@ from jaxfit.cli.together import add_processes
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder, write_csv
-from jaxfit.evaluation.datasets import FACE_COLUMNS, EvaluationRun, evaluation_report, face_rows, plan_evaluation
+from jaxfit.evaluation.datasets import (
+    FACE_COLUMNS,
+    EvaluationRun,
+    distances_report,
+    evaluation_report,
+    face_rows,
+    plan_evaluation,
+)
 from jaxfit.evaluation.evaluate import Evaluation
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_rows
 from jaxfit.evaluation.statistics import summarise
@@ -60,8 +67,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--normaliser",
         choices=NORMALISERS,
-        help="what distances are divided by: outer eye corners, pupil centres, bounding square (default: the outer eye "
-        "corners; the square where labels have none, or faces are turned by over 45 degrees)",
+        help="what distances are divided by: outer eye corners, pupil centres, bounding square, centroid size, or the "
+        "ends that a scheme of your own names (default: what the scheme says, or the outer eye corners; the square "
+        "where labels have none, or faces are turned by over 45 degrees)",
     )
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_refine(command)
@@ -146,9 +154,22 @@ def _print_tables(results: Mapping[str, Evaluation], solid: bool) -> None:
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or solid}
     say(text_table([_row(spec, result) for spec, result in results.items()], columns))
     for spec, result in results.items():
+        for unit, numbers in _distances_in_words(result):
+            say(f"{spec}: errors of single landmarks in {unit}: {numbers}")
+    for spec, result in results.items():
         if result.fits.pose is not None and np.isfinite(result.true_pose).any():
             say(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
             say(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
+
+
+def _distances_in_words(result: Evaluation) -> Iterator[tuple[str, str]]:
+    """The distances of fitted faces' landmarks from the true ones, by their unit."""
+    report = distances_report(result)
+    units = report.get("units", {})
+    for unit, of_unit in (("pixels", report.get("pixels")), (units.get("unit", ""), units)):
+        if of_unit:
+            mean, median, high = (of_unit[name] for name in ("mean", "median", "ninety_percent"))
+            yield unit, f"mean {mean:.3g}, median {median:.3g}, 90 % below {high:.3g}"
 
 
 def _row(spec: str, result: Evaluation) -> dict[str, object]:

@@ -17,6 +17,7 @@ from jaxfit.image.disturb import Disturbance
 from jaxfit.learning.confidence import learn_confidence, training_of
 from jaxfit.learning.finetune import finetune
 from jaxfit.models.files import load, save
+from jaxfit.schemes.conversions import described
 
 _HELP = {
     "epochs": "how often each face is seen",
@@ -81,10 +82,11 @@ def run(options: argparse.Namespace) -> int:
     disturbance = Disturbance(**{option.name: getattr(options, option.name) for option in fields(Disturbance)})
     of_tuning = {option.name: getattr(options, option.name) for option in fields(Tuning) if option.name in _HELP}
     tuning = Tuning(**of_tuning, seed=options.seed, disturbance=disturbance)
-    found = read_faces(options)
+    found = read_faces(options, model.scheme)
     if found.scheme != model.scheme:
         raise InputError(
-            f"{options.model} has the landmarks {model.scheme.name}; --data has {found.scheme.name}: convert them with "
+            f"{options.model} has the landmarks {described(model.scheme)}; --data has {described(found.scheme)}: "
+            "convert them with "
             f"--scheme {model.scheme.name} (from ibug68), or give them as --share beside others"
         )
     if options.confidence:

@@ -6,6 +6,7 @@ from jaxfit.cli.arguments import add_datasets
 from jaxfit.cli.progress import say
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.labels.gather import LabelledFaces, gather_faces
+from jaxfit.schemes.scheme import Scheme
 
 
 def add_faces(command: argparse.ArgumentParser) -> None:
@@ -50,7 +51,7 @@ def add_shared(command: argparse.ArgumentParser) -> None:
     )
 
 
-def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
+def read_faces(arguments: argparse.Namespace, scheme_of_model: Scheme | None = None) -> LabelledFaces:
     """The faces that the arguments name; what was done to get them is printed.
 
     Raises:
@@ -59,6 +60,7 @@ def read_faces(arguments: argparse.Namespace) -> LabelledFaces:
     found = gather_faces(
         arguments.data,
         scheme=arguments.scheme,
+        scheme_of_model=scheme_of_model,
         fill=arguments.fill,
         lift=arguments.lift,
         lift_yaw=arguments.lift_yaw,

@@ -10,6 +10,7 @@ from jaxfit.cli.arguments import add_unshift
 from jaxfit.cli.progress import say, warn
 from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
+from jaxfit.fitting.pipeline import usual_detector
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
 
@@ -45,8 +46,10 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     models = options.model or sorted(bundled(), key=lambda name: name != DEFAULT_MODEL)
-    detectors = options.detector or [name for name, entry in DETECTORS.items() if entry.installed]
     loaded = _by_name(models, load, _model_name)
+    usual = usual_detector(next(iter(loaded.values())))  # what the page begins with suits the first model
+    installed = (name for name, entry in DETECTORS.items() if entry.installed)
+    detectors = options.detector or sorted(installed, key=lambda name: name != usual)
     if options.unshift:
         still = [name for name, model in loaded.items() if not model.cascade.frame.shift]
         if still:

@@ -11,7 +11,6 @@ import numpy as np
 
 from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
 from jaxfit.cli.progress import Bars, report_problems, say, warn
-from jaxfit.data.detectors import DEFAULT_DETECTOR
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
@@ -19,6 +18,7 @@ from jaxfit.data.overlays import draw_name, draw_row
 from jaxfit.data.rows import HEAD, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.one_euro import OneEuro
+from jaxfit.fitting.pipeline import usual_detector
 from jaxfit.fitting.track import TrackedFrame, track
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
@@ -41,7 +41,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
     )
-    add_detector(command, f"finds new faces; {DEFAULT_DETECTOR} unless given")
+    add_detector(command, "finds new faces; yunet unless given, or whole for models that only know whole pictures")
     command.add_argument(
         "--redetect-every", type=int, default=10, metavar="N", help="look for new faces every N frames (default: 10)"
     )
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
         tracked = track(
             model,
             video,
-            detector=options.detector or DEFAULT_DETECTOR,
+            detector=options.detector or usual_detector(model),
             search=given_search(options),
             redetect_every=options.redetect_every,
             smoothing=OneEuro() if options.smooth else None,

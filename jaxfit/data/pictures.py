@@ -15,11 +15,20 @@ import jax
 import numpy as np
 
 from jaxfit.data.damage import damage_of
-from jaxfit.data.headers import BEGINNING, END_OF_IMAGE, JPEG, PNG, is_heic, jpeg_markers, looks_like_picture
+from jaxfit.data.headers import (
+    BEGINNING,
+    END_OF_IMAGE,
+    JPEG,
+    PNG,
+    is_heic,
+    jpeg_markers,
+    looks_like_picture,
+    stored_size,
+)
 from jaxfit.data.inputs import open_regular, read_regular
 from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.names import each_once
-from jaxfit.data.orientations import as_seen, as_stored, orientation_of
+from jaxfit.data.orientations import SIDEWAYS, as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
 from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of, slow_bytes, weight_of
 from jaxfit.data.threads import interruptible
@@ -93,6 +102,22 @@ def read_grey(path: str | Path | bytes) -> np.ndarray:
     if data.startswith(JPEG):  # which stores luminance: colours need not be decoded, which takes as long again
         return _decoded(name, data, cv2.IMREAD_GRAYSCALE, exif=True)
     return to_grey(_decoded(name, data, cv2.IMREAD_COLOR, exif=True))
+
+
+def picture_size(path: str | Path) -> tuple[int, int]:
+    """Width and height of a picture as it is seen, in pixels; of most formats, only the file's header is looked at.
+
+    Raises:
+        ImageError: it cannot be read.
+    """
+    data = _data(path)
+    # The others' headers do not say how large they are seen: they may have tiles, or several pictures.
+    size = stored_size(data) if data.startswith((JPEG, PNG)) else None
+    if size is None:
+        height, width = _decoded(path, data, cv2.IMREAD_GRAYSCALE, exif=True).shape[:2]
+        return width, height
+    width, height = size
+    return (height, width) if orientation_of(data) in SIDEWAYS else (width, height)
 
 
 def _name(path: str | Path | bytes) -> str | Path:

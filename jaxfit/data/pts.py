@@ -54,12 +54,17 @@ def read_pts(path: str | Path, base: int = 1) -> np.ndarray:
 def write_pts(path: str | Path, landmarks: np.ndarray, base: int = 1) -> None:
     """Write landmarks (L, 2), 0-based pixels, as a ``.pts`` file with header and three decimals, atomically.
 
+    Points that are NaN, which are missing, become ``nan nan``.
+
     Raises:
-        InputError: the landmarks are not (L, 2) finite numbers, ``base`` is neither 0 nor 1, or the folder is missing.
+        InputError: the landmarks are not (L, 2) numbers, finite but for missing points, of which not all are missing;
+            ``base`` is neither 0 nor 1, or the folder is missing.
     """
     check_base(base)
     landmarks = np.asarray(landmarks, np.float64)
-    if landmarks.ndim != 2 or landmarks.shape[1] != 2 or not np.isfinite(landmarks).all():
+    shaped = landmarks.ndim == 2 and landmarks.shape[1] == 2
+    missing = np.isnan(landmarks).all(1, keepdims=True) if shaped else np.zeros((0, 0), bool)
+    if not shaped or missing.all() or not (np.isfinite(landmarks) | missing).all():
         raise InputError(f"{path}: expected finite landmarks (L, 2), got an array {landmarks.shape}")
     # Rounding before formatting and adding zero turn "-0.000" into "0.000".
     points = np.round(landmarks + base, 3) + 0.0

@@ -12,13 +12,16 @@ from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
 # A face as plain JSON values: image, face, size, box, ok, landmarks; confidence, if the model has one; and pose, scale,
-# landmarks_3d and b of 3D models. Lengths are in pixels of the picture.
+# landmarks_3d and b of 3D models. Lengths are in pixels of the picture. Rows of labels, which only writers of
+# annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and subject may be
+# there.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
 TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of numbers
 HEAD = "head_"  # before the columns of heads, in tables that have both
 _BOX = ("x", "y", "width", "height", "rotation")
+PIXEL = "pixel"  # the key of the length of a pixel in units, in rows of labels
 FLAGS = ("ok",)  # columns of yes and no
 _DIGITS = 3  # after the point
 

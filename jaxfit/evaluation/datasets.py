@@ -23,8 +23,8 @@ from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets
 from jaxfit.labels.records import Dataset
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.schemes.conversions import CONVERSIONS
-from jaxfit.schemes.known import NO_LANDMARKS
+from jaxfit.schemes.conversions import convertible
+from jaxfit.schemes.known import NO_LANDMARKS, SCHEMES
 from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
@@ -46,7 +46,8 @@ class EvaluationRun:
         boxes: a CSV file of face boxes, as in ``jaxfit.FolderRun``.
         box_kind: what drew those boxes; None takes what the file says.
         seed: of how the squares are moved.
-        scheme: name of the landmark scheme that labels are converted to; None: the model's where that is possible.
+        scheme: the landmark scheme that labels are converted to, as ``--scheme`` takes it; None: the model's where that
+            is possible.
         normaliser: what errors are relative to, as in ``jaxfit.evaluate``.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
     """
@@ -204,15 +205,16 @@ def _boxes_of_pictures(
 
 def _for_model(model: Model, dataset: Dataset, notes: list[str]) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is noted; else as it is."""
-    if (dataset.scheme.name, model.scheme.name) not in CONVERSIONS:
+    if not convertible(dataset.scheme, model.scheme):
         return dataset
-    notes.append(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
+    if {dataset.scheme.name, model.scheme.name} & SCHEMES.keys():
+        notes.append(f"{dataset.spec}: labels converted from {dataset.scheme.name} to the model's {model.scheme.name}")
     return convert_dataset(dataset, model.scheme)
 
 
 def _measured_scheme(model: Model, dataset: Dataset) -> Scheme:
     """The scheme that errors are measured in: the labels' own where the model's fits can be converted to it."""
-    return dataset.scheme if (model.scheme.name, dataset.scheme.name) in CONVERSIONS else model.scheme
+    return dataset.scheme if convertible(model.scheme, dataset.scheme) else model.scheme
 
 
 def _start_kind(model: Model, dataset: Dataset, notes: list[str]) -> str:
@@ -240,8 +242,33 @@ def evaluation_report(result: Evaluation) -> dict[str, Any]:
         "learned_from": None if result.learned is None else int(result.learned.sum()),
         "normaliser": NORMALISERS[result.normaliser].title,
         "seconds_per_face": seconds if isfinite(seconds) else None,
+        **distances_report(result),
         **_report_3d(result),
     }
+
+
+def distances_report(result: Evaluation) -> dict[str, Any]:
+    """How far fitted landmarks are from the true ones, over those of fitted faces that are annotated: in pixels, for
+    each landmark, and in units where the length of a pixel is known; JSON values."""
+    pixels = result.distances
+    known = np.isfinite(pixels)
+    if not known.any():
+        return {}
+    units = pixels * np.array([face.scale or np.nan for face in result.faces])[:, None]
+    of_landmark = {
+        result.scheme.point_name(index): round(float(pixels[known[:, index], index].mean()), 4)
+        for index in range(result.scheme.count)
+        if known[:, index].any()
+    }
+    report: dict[str, Any] = {"pixels": _distances(pixels[known]), "pixels_of_landmarks": of_landmark}
+    if (scaled := np.isfinite(units)).any():
+        report["units"] = {"unit": result.scheme.unit or "units", **_distances(units[scaled])}
+    return report
+
+
+def _distances(values: np.ndarray) -> dict[str, float]:
+    numbers = {"mean": values.mean(), "median": np.median(values), "ninety_percent": np.quantile(values, 0.9)}
+    return {name: round(float(number), 4) for name, number in numbers.items()}
 
 
 def _report_3d(result: Evaluation) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from jaxfit.models.digests import DigestingReader
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.processes import exchanged, gathered, require_same, share_of
 from jaxfit.schemes.conversions import convert, sources
-from jaxfit.schemes.normalisers import default_normaliser, normaliser_length
+from jaxfit.schemes.normalisers import annotated, default_normaliser, distance, normaliser_length
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.pose_order import in_order
 from jaxfit.types import Progress, silent
@@ -39,7 +39,7 @@ class Evaluation:
         faces: the N faces.
         fits: of each, a row; NaN where there is none.
         scheme: what the landmarks mean in which errors are measured.
-        normaliser: what the errors are relative to: ``"outer"``, ``"pupil"`` or ``"box"``.
+        normaliser: what the errors are relative to: one of ``NORMALISERS``.
         errors: (N,) NMED (Eq. 16); ``inf`` where there is no fit, NaN where the truth does not allow to measure.
         errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
             the errors are not measured on the model's own landmarks; None for 2D models.
@@ -61,6 +61,11 @@ class Evaluation:
     def landmarks(self) -> np.ndarray:
         """(N, L, 2) the fitted landmarks in the scheme that errors are measured in, in pixels; NaN without a fit."""
         return convert(self.fits.landmarks, self.fits.scheme, self.scheme)
+
+    @property
+    def distances(self) -> np.ndarray:
+        """(N, L) distances of fitted landmarks from the true ones, in pixels; NaN without a fit or annotation."""
+        return distance(self.landmarks, annotated(_truth(self.faces, self.scheme)))
 
     @property
     def true_pose(self) -> np.ndarray:
@@ -281,9 +286,7 @@ def measure(
     require_measurable(fits.scheme, scheme, normaliser, faces)
     if len(fits) != len(faces):
         raise InputError(f"expected a fit for each of {len(faces)} faces; got {len(fits)}")
-    unknown = np.full((scheme.count, 2), np.nan)
-    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
-    truth = truth.reshape(-1, scheme.count, 2)
+    truth = _truth(faces, scheme)
     errors_3d = None
     if fits.landmarks_3d is not None:
         found = convert(fits.landmarks_3d, fits.scheme, scheme)
@@ -298,6 +301,13 @@ def measure(
         seconds_per_face=seconds_per_face,
         learned=learned,
     )
+
+
+def _truth(faces: Sequence[FaceRecord], scheme: Scheme) -> np.ndarray:
+    """The labels (N, L, 2); NaN of faces without landmarks."""
+    unknown = np.full((scheme.count, 2), np.nan)
+    truth = np.array([face.landmarks if len(face.landmarks) else unknown for face in faces])
+    return truth.reshape(-1, scheme.count, 2)
 
 
 def _truth_3d(model: Model | None, scheme: Scheme, truth: np.ndarray) -> np.ndarray:

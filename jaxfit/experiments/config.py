@@ -17,9 +17,8 @@ from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
 from jaxfit.experiments.names import check_names
 from jaxfit.experiments.thesis.numbers import THESIS_DATASETS
-from jaxfit.labels.datasets import parse_spec
+from jaxfit.labels.datasets import parse_spec, scheme_values
 from jaxfit.learning.methods import METHODS, Options, default_descriptor
-from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.normalisers import NORMALISERS
 
 _MOST_BYTES = 100_000  # of a configuration: reading one of megabytes may take hours
@@ -42,7 +41,7 @@ class DatasetPlan:
 
     name: str
     data: tuple[str, ...]
-    scheme: str | None = None
+    scheme: str | dict[str, Any] | None = None
     thesis: str | None = None
 
 
@@ -78,7 +77,7 @@ class PosePlan:
 
     train: tuple[str, ...]
     test: tuple[str, ...]
-    scheme: str | None = None
+    scheme: str | dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -329,11 +328,12 @@ def _specs(where: str, values: Mapping[str, Any], key: str) -> tuple[str, ...]:
     return tuple(specs)
 
 
-def _scheme(where: str, values: Mapping[str, Any]) -> str | None:
+def _scheme(where: str, values: Mapping[str, Any]) -> str | dict[str, Any] | None:
     if "scheme" not in values:
         return None
     try:
-        return scheme_named(str(values["scheme"])).name
+        given = values["scheme"]
+        return scheme_values(given if isinstance(given, dict) else str(given))
     except InputError as error:
         raise InputError(f"{where} scheme: {error}") from None
 

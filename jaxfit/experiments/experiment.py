@@ -25,6 +25,8 @@ from jaxfit.learning.placements import CALIBRATED
 from jaxfit.models.files import load, save
 from jaxfit.models.model import Model
 from jaxfit.schemes.known import NO_LANDMARKS
+from jaxfit.schemes.normalisers import normaliser_length
+from jaxfit.schemes.own import scheme_text
 from jaxfit.schemes.scheme import Scheme
 
 # The file in an experiment's folder that holds its configuration.
@@ -120,6 +122,8 @@ class Experiment:
     def _read(self, plan: DatasetPlan) -> DatasetFaces:
         datasets = read_datasets(plan.data, plan.scheme)
         scheme = shared_scheme(datasets)
+        # Before the work: not all schemes have all normalisers.
+        normaliser_length(np.empty((0, scheme.count, 2)), scheme, self.config.normaliser)
         complete = [(dataset, face) for dataset in datasets for face in dataset.faces if face.complete]
         # By the folder's name alone, so that folds do not depend on where the data lie.
         names = folder_names([parse_spec(dataset.spec).path for dataset, _ in complete])
@@ -249,7 +253,7 @@ def _face_arrays(faces: DatasetFaces) -> Arrays:
         "box": faces.boxes,
         "landmarks": faces.landmarks,
         "pose": np.where(np.isnan(labelled), _aligned_pose(faces), labelled),
-        "scheme": np.array(faces.scheme.name),
+        "scheme": np.array(scheme_text(faces.scheme)),
         "problems": np.array(faces.problems, str),
     }
 
@@ -265,5 +269,5 @@ def _aligned_pose(faces: DatasetFaces) -> np.ndarray:
 
 
 def _without_folders(spec: str) -> str:
-    form, _, path = spec.partition(":")
-    return f"{form}:{Path(path).name}"
+    form, colon, path = spec.partition(":")
+    return f"{form}:{Path(path).name}" if colon else Path(spec).name

@@ -12,7 +12,7 @@ from jaxfit.experiments.arrays import Arrays, load_arrays
 from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan, config_from
 from jaxfit.experiments.experiment import FACE_SETTINGS, SETTINGS, faces_file, result_file
 from jaxfit.experiments.tasks import GridTask, PoseTask, StartsTask, Task, TimesTask, plan_tasks, several_starts
-from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.own import read_scheme_text
 from jaxfit.schemes.scheme import Scheme
 
 
@@ -155,7 +155,7 @@ def _all_folds(task: Task, config: Config, done: Collection[str]) -> bool:
 
 def _dataset_results(config: Config, dataset: DatasetPlan, faces: Arrays, done: _Done) -> DatasetResults:
     """The results of one dataset."""
-    scheme, count = scheme_named(str(faces["scheme"])), len(faces["face"])
+    scheme, count = read_scheme_text(str(faces["scheme"])), len(faces["face"])
 
     def unknown(*shape: int) -> dict[str, np.ndarray]:
         return {method.name: np.full(shape, np.nan) for method in config.methods}

@@ -57,7 +57,7 @@ def fit(
         rotations: (N,) how far the faces in the boxes are turned in the pictures, in degrees, clockwise as seen: they
             are fitted upright. None: not at all.
         detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default
-            ``"yunet"``.
+            ``"yunet"``; or ``"whole"``, for models that know no boxes of yunet's but those of whole pictures.
         search: how faces are looked for if there are no boxes: the smallest face, the detector's score, any rotation.
         starts: how many starts each face has; several are worth their time where faces may be turned in the picture and
             the model was trained for it.

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from jaxfit.cascade.starts import Starts
-from jaxfit.data.detectors import Detector, Search, detector_named
+from jaxfit.data.detectors import DEFAULT_DETECTOR, DETECTORS, Detector, Search, detector_named
+from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.pictures import Read
 from jaxfit.errors import InputError
 from jaxfit.models.model import Model
@@ -51,13 +52,21 @@ def require_fitting(fitting: Any) -> None:
         raise InputError(f"expected jaxfit.Fitting(detector=...), how faces are found and fitted; got {fitting!r:.60}")
 
 
+def usual_detector(model: Model) -> str:
+    """What finds the objects of a model if nobody says otherwise: the default detector of faces; of models that do not
+    know its boxes but those of whole pictures, nothing: the picture is the object."""
+    known = model.known_placements
+    no_face = not {*DETECTORS[DEFAULT_DETECTOR].kinds} & known.keys()
+    return WHOLE if no_face and WHOLE in known else DEFAULT_DETECTOR
+
+
 @dataclass(frozen=True)
 class Fitting:
     """How faces are found and fitted, whatever the model: what folder runs, workers and commands are given.
 
     Attributes:
         detector: what finds the faces of pictures without boxes: its name, as in ``jaxfit.detect_faces``, or a detector
-            of your own; None is the default one.
+            of your own; None is the usual one for the model: yunet, or whole.
         search: how it looks for them, if it comes by name.
         starts: of each face.
         passes: how often the cascade is run, each time from where the pass before found the face; None: twice from the
@@ -69,13 +78,14 @@ class Fitting:
     starts: Starts = field(default_factory=Starts)
     passes: int | None = None
 
-    def finder(self) -> Detector:
-        """The detector.
+    def finder(self, model: Model | None = None) -> Detector:
+        """The detector; if none is named, the one that is usual for the model.
 
         Raises:
             InputError: as ``jaxfit.data.detector_named``.
         """
-        return detector_named(self.detector, self.search)
+        usual = None if model is None else usual_detector(model)
+        return detector_named(self.detector or usual, self.search)
 
     def passes_from(self, rough: bool) -> int:
         """How often the cascade is run from boxes that are ``rough`` or not, as `Detector` says."""
@@ -89,7 +99,7 @@ class Fitting:
         Raises:
             InputError: there is no such detector, the model does not know its boxes, or there are no passes.
         """
-        finder = self.finder()
+        finder = self.finder(model)
         return Pipeline(model, finder, self.starts, self.passes_from(finder.rough), read)
 
     def pipeline_in_boxes(self, model: Model, rough: bool = False, read: Read | None = None) -> Pipeline:

@@ -5,6 +5,7 @@ from jaxfit.labels.datasets import FORMATS, convert_dataset, read_dataset
 from jaxfit.labels.gather import LabelledFaces, gather_faces
 from jaxfit.labels.lifting import Lifted, fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord
+from jaxfit.labels.writing import write_labels
 
 __all__ = [
     "FORMATS",
@@ -20,4 +21,5 @@ __all__ = [
     "lift_labels",
     "read_dataset",
     "share_labels",
+    "write_labels",
 ]

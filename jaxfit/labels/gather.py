@@ -1,15 +1,18 @@
 """Faces to learn from, gathered from several datasets: filled, lifted, and without those that are tested on."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from jaxfit.errors import InputError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
-from jaxfit.labels.datasets import parse_spec, read_datasets, shared_scheme
+from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets, shared_scheme
 from jaxfit.labels.lifting import fill_labels, lift_labels, share_labels
 from jaxfit.labels.records import Dataset, FaceRecord, copies_of
 from jaxfit.models.digests import same_pictures
+from jaxfit.schemes.conversions import convertible
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
 
@@ -33,7 +36,8 @@ class LabelledFaces:
 def gather_faces(
     data: Sequence[str],
     *,
-    scheme: str | None = None,
+    scheme: str | Mapping[str, Any] | None = None,
+    scheme_of_model: Scheme | None = None,
     fill: bool = False,
     lift: Sequence[str] = (),
     lift_yaw: float = 0.0,
@@ -47,7 +51,9 @@ def gather_faces(
 
     Args:
         data: datasets of one scheme.
-        scheme: name of the scheme that their labels are converted to.
+        scheme: the scheme that their labels are converted to, as ``--scheme`` takes it.
+        scheme_of_model: what the landmarks of the model to learn mean; without ``scheme``, labels of as many points
+            that are of no known scheme are taken for these.
         fill: give incomplete faces their missing landmarks by the 3D head model (`fill_labels`).
         lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
         lift_yaw: of those, only faces turned by so many degrees or more.
@@ -66,12 +72,14 @@ def gather_faces(
         raise InputError("expected datasets to learn from; got none")
     if lift_yaw and not lift:
         raise InputError("lift_yaw says which faces of the datasets to lift are taken; give these (lift) too")
+    notes: list[str] = []
     datasets = read_datasets(data, scheme)
+    if scheme_of_model is not None and scheme is None:
+        datasets = [_taken_for(scheme_of_model, dataset, notes) for dataset in datasets]
     target = shared_scheme(datasets)
     parts = [list(dataset.faces) for dataset in datasets]
     sources = [_source(dataset) for dataset in datasets]
     problems = [problem for dataset in datasets for problem in dataset.problems]
-    notes: list[str] = []
     if fill:
         head = load_head_model(head_model)
         filled = [fill_labels(part, target, head) for part in parts]
@@ -101,6 +109,15 @@ def gather_faces(
         for face in part
     )
     return LabelledFaces(faces, target, tuple(problems), tuple(notes))
+
+
+def _taken_for(scheme: Scheme, dataset: Dataset, notes: list[str]) -> Dataset:
+    """The dataset in a scheme, unless its labels are of a known one, or cannot be of this; a known one is noted."""
+    if dataset.scheme.name in SCHEMES or not convertible(dataset.scheme, scheme):
+        return dataset
+    if scheme.name in SCHEMES:
+        notes.append(f"{dataset.spec}: labels taken for the model's {scheme.name}")
+    return convert_dataset(dataset, scheme)
 
 
 def _source(dataset: Dataset) -> Path:

@@ -28,6 +28,7 @@ class FaceRecord:
         subject: pictures of the same subject are never split between training and testing.
         face: identifies the face within its dataset: file stem, or the dataset's own number.
         pose_order: what the angles of ``pose`` mean; the same head has other angles in another order.
+        scale: the length of a pixel in units such as millimetres, or None if unknown.
     """
 
     image: Path
@@ -39,6 +40,7 @@ class FaceRecord:
     subject: str
     face: str
     pose_order: PoseOrder = "roll-pitch-yaw"
+    scale: float | None = None
 
     @property
     def known(self) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Training a model from labelled faces: pictures to crops, boxes to starts, then the cascade."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from jaxfit import __version__
 from jaxfit.cascade.greedy import SharedAxes, train_cascade
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.detectors import best_match, detector_named
+from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
@@ -20,7 +22,7 @@ from jaxfit.learning.methods import Options, camera_asm, method_named, view_of
 from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
 from jaxfit.models.digests import digest_set
 from jaxfit.models.model import SQUARE, Model
-from jaxfit.models.placements import Placement, measure_placement
+from jaxfit.models.placements import Placement, measure_placement, placements_of
 from jaxfit.modes import computing
 from jaxfit.processes import by_first, exchanged, require_same, share_of
 from jaxfit.schemes.scheme import Scheme, mirror_order
@@ -104,8 +106,14 @@ def train(
     every = max(1, len(complete) // _DETECTED_FACES)
     detectors = [detector_named(name) for name in _DETECTORS] if options.detectors else []
 
+    alone = Counter(face.image for face in complete)
+    own_kind = not placements_of(scheme.name)  # how faces lie in whole pictures is known of others
+
     def look(row: int, grey: np.ndarray) -> None:
         number = int(share[row])
+        if own_kind and alone[complete[number].image] == 1:
+            height, width = grey.shape
+            detected.append((number, WHOLE, [0.0, 0.0, float(width), float(height)], 0.0))
         for detector in detectors if number % every == 0 else ():
             if match := best_match(detector(grey), squares[number]):
                 detected.append((number, match.kind, match.box.tolist(), match.rotation))

@@ -23,7 +23,7 @@ from jaxfit.image.frame import Frame
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement, read_placement
 from jaxfit.modes import computing
-from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.own import scheme_json, scheme_of_json
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes import SPACES
 from jaxfit.shapes.camera_asm import CameraASM
@@ -123,7 +123,7 @@ def usage_of(model: Model) -> dict[str, Any]:
     """What a header says of how a model is used: its crops, its landmarks, how faces lie in boxes; JSON values."""
     return {
         "frame": dataclasses.asdict(model.cascade.frame),
-        "scheme": model.scheme.name,
+        "scheme": scheme_json(model.scheme),
         "placements": {kind: dataclasses.asdict(place) for kind, place in model.placements.items()},
     }
 
@@ -131,7 +131,7 @@ def usage_of(model: Model) -> dict[str, Any]:
 def read_usage(header: dict[str, Any]) -> tuple[Frame, Scheme, dict[str, Placement]]:
     """What `usage_of` says. Damaged headers may raise any of ``DAMAGE``."""
     placements = {kind: _placement(place) for kind, place in header["placements"].items()}
-    return Frame(**header["frame"]), scheme_named(header["scheme"]), placements
+    return Frame(**header["frame"]), scheme_of_json(header["scheme"]), placements
 
 
 def check_target(path: Path) -> None:

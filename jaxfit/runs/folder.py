@@ -50,7 +50,7 @@ _COMMAND, _OVERLAYS = "jaxfit fit", "overlays"
 # What earlier versions wrote, without a manifest.
 _RESULTS = (
     *("landmarks.csv", "heads.csv", "landmarks.parquet", "heads.parquet", "faces.jsonl", "keypoints.json"),
-    *("problems.csv", "doubtful.csv", "contact-sheet.jpg"),
+    *("landmarks.tps", "landmarks.xml", "problems.csv", "doubtful.csv", "contact-sheet.jpg"),
 )
 _NO_ROW = "no row with this file name in the boxes"
 _OTHER_PATH = "no row with this path in the boxes, only"

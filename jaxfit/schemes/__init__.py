@@ -3,6 +3,7 @@
 from jaxfit.schemes.conversions import convert
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW29, SCHEMES, scheme_named, scheme_of_count
 from jaxfit.schemes.normalisers import NORMALISERS, Normaliser
+from jaxfit.schemes.own import OwnScheme, own_scheme
 from jaxfit.schemes.scheme import Scheme, mirrored
 
 __all__ = [
@@ -13,9 +14,11 @@ __all__ = [
     "NORMALISERS",
     "SCHEMES",
     "Normaliser",
+    "OwnScheme",
     "Scheme",
     "convert",
     "mirrored",
+    "own_scheme",
     "scheme_named",
     "scheme_of_count",
 ]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxfit.errors import InputError
-from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW27_NAMES, LFPW29, LFPW29_NAMES
+from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW27_NAMES, LFPW29, LFPW29_NAMES, SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
 # For each point of the target, in its order, the 0-based indices of the source points that it is the mean of.
@@ -36,15 +36,44 @@ CONVERSIONS: dict[tuple[str, str], Sources] = {
 def sources(source: Scheme, target: Scheme) -> Sources:
     """For each point of ``target``, the points of ``source`` that it is the mean of; itself if the schemes are equal.
 
+    Where both name their points, points of the same name are the same. Else schemes with as many points have the same
+    ones in the same order, unless both are known ones.
+
     Raises:
         InputError: the conversion is not known.
     """
+    found = _sources(source, target)
+    if found is None:
+        known = ", ".join(" to ".join(names) for names in CONVERSIONS)
+        raise InputError(
+            f"cannot convert landmarks from {described(source)} to {described(target)}; known conversions: {known}; "
+            "schemes of your own need points of the same names, or as many"
+        )
+    return found
+
+
+def convertible(source: Scheme, target: Scheme) -> bool:
+    """Whether landmarks of a scheme have to be converted to be of another, and can be."""
+    return source != target and _sources(source, target) is not None
+
+
+def described(scheme: Scheme) -> str:
+    """A scheme's name, for messages, with its first points where these have names."""
+    some = ", ".join(scheme.names[:3]) + (", ..." if scheme.count > 3 else "")
+    return f"{scheme.name} ({some})" if scheme.names else scheme.name
+
+
+def _sources(source: Scheme, target: Scheme) -> Sources | None:
     if source == target:
         return tuple((index,) for index in range(source.count))
-    if (source.name, target.name) not in CONVERSIONS:
-        known = ", ".join(" to ".join(names) for names in CONVERSIONS)
-        raise InputError(f"cannot convert landmarks from {source.name} to {target.name}; known conversions: {known}")
-    return CONVERSIONS[source.name, target.name]
+    if (source.name, target.name) in CONVERSIONS:
+        return CONVERSIONS[source.name, target.name]
+    if source.names and target.names:
+        places = {name: index for index, name in enumerate(source.names)}
+        return tuple((places[name],) for name in target.names) if {*target.names} <= places.keys() else None
+    if source.count == target.count > 0 and not {source.name, target.name} <= SCHEMES.keys():
+        return tuple((index,) for index in range(source.count))
+    return None
 
 
 def convert(landmarks: np.ndarray, source: Scheme, target: Scheme) -> np.ndarray:

@@ -15,12 +15,14 @@ class Normaliser:
 
     Attributes:
         title: what it is, in words, for tables.
-        ends: gives, for a scheme, the points whose means are its two ends; None if the scheme lacks them. A normaliser
-            without ends is the side of the smallest upright square, or cube, around the annotated points.
+        ends: gives, for a scheme, the points whose means are its two ends; None if the scheme lacks them. Without it,
+            ``length`` measures the annotated points.
+        length: lengths (...) of points (..., L, D), NaN where unknown.
     """
 
     title: str
     ends: Callable[[Scheme], tuple[Sequence[int], Sequence[int]] | None] | None = None
+    length: Callable[[np.ndarray], np.ndarray] = lambda points: _square_side(points)
 
     def known_of(self, scheme: Scheme) -> bool:
         """Whether faces of a scheme have it."""
@@ -31,17 +33,35 @@ def _outer_corners(scheme: Scheme) -> tuple[Sequence[int], Sequence[int]] | None
     return scheme.outer_eyes and ((scheme.outer_eyes[0],), (scheme.outer_eyes[1],))
 
 
+def _own_ends(scheme: Scheme) -> tuple[Sequence[int], Sequence[int]] | None:
+    return scheme.ends and ((scheme.ends[0],), (scheme.ends[1],))
+
+
+def _centroid_size(points: np.ndarray) -> np.ndarray:
+    """The root of the sum of squared distances from the centroid; of missing points, those of the others' mean."""
+    known = np.isfinite(points).all(-1)
+    count = np.maximum(known.sum(-1), 1)
+    kept = np.where(known[..., None], points, 0.0)
+    centroid = kept.sum(-2) / count[..., None]
+    squares = np.where(known, ((kept - centroid[..., None, :]) ** 2).sum(-1), 0.0)
+    return np.asarray(np.sqrt(squares.sum(-1) / count * points.shape[-2]))
+
+
 # By the names that the command line knows; a new one is a line here. The distance of the outer eye corners is our
 # reading of Eq. 16's inter-ocular distance; the square does not vanish on profile faces.
 NORMALISERS = {
     "outer": Normaliser("outer eye corners", _outer_corners),
     "pupil": Normaliser("pupil centres", lambda scheme: scheme.pupils),
     "box": Normaliser("bounding square"),
+    "size": Normaliser("centroid size", length=_centroid_size),
+    "ends": Normaliser("the scheme's pair of points", _own_ends),
 }
 
 
 def default_normaliser(scheme: Scheme) -> str:
-    """The outer eye corners of faces that have them; of all else the bounding square."""
+    """What the scheme says; else the outer eye corners of faces that have them; of all else the bounding square."""
+    if scheme.normaliser is not None:
+        return scheme.normaliser
     return "outer" if NORMALISERS["outer"].known_of(scheme) else "box"
 
 
@@ -72,7 +92,7 @@ def normaliser_length(truth: np.ndarray, scheme: Scheme, normaliser: str) -> np.
     points, of_scheme = annotated(truth), NORMALISERS[normaliser].ends
     ends = None if of_scheme is None else of_scheme(scheme)
     if ends is None:
-        lengths = _square_side(points)
+        lengths = NORMALISERS[normaliser].length(points)
     else:
         one, other = (points[..., list(end), :].mean(axis=-2) for end in ends)
         lengths = distance(one, other)

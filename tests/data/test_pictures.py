@@ -22,6 +22,7 @@ from jaxfit.data.pictures import (
     GreyPictures,
     decode_image,
     find_images,
+    picture_size,
     read_grey,
     read_image,
     several,
@@ -81,6 +82,8 @@ def test_exif_orientation_is_obeyed_or_not(tmp_path, rgb, orientation, turn):
     np.testing.assert_array_equal(read_bytes(tmp_path, oriented(plain, orientation)), turn(stored))
     np.testing.assert_array_equal(read_bytes(tmp_path, oriented(plain, orientation), exif=False), stored)
     assert orientation_of(oriented(plain, orientation)) == orientation
+    (tmp_path / "sized.jpg").write_bytes(oriented(plain, orientation))
+    assert picture_size(tmp_path / "sized.jpg") == turn(stored).shape[1::-1]
 
 
 def test_grey_is_what_the_colours_give(tmp_path, rgb):
@@ -110,6 +113,16 @@ def test_grey_is_what_the_colours_give(tmp_path, rgb):
         expected = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         np.testing.assert_array_equal(read_grey(tmp_path / name), expected, err_msg=name)
     np.testing.assert_array_equal(read_grey(tmp_path / "grey.png"), rgb[..., 0])
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp", ".tif"])
+def test_sizes_are_those_of_what_is_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(cv2.imencode(suffix, np.zeros((7, 12, 3), np.uint8))[1].tobytes())
+    assert picture_size(path) == (12, 7)
+    (tmp_path / "b.tif").write_bytes(b"II*\0")
+    with pytest.raises(ImageError, match=r"b\.tif"):
+        picture_size(tmp_path / "b.tif")
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.9, 0.99])

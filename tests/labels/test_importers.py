@@ -7,7 +7,7 @@ import pytest
 from written_labels import WRITE_FACES
 
 from jaxfit.errors import DatasetError
-from jaxfit.labels.datasets import FORMATS, read_dataset
+from jaxfit.labels.datasets import FORMATS, FROM_BOTTOM, read_dataset
 
 every_format = pytest.mark.parametrize("name", FORMATS)
 
@@ -42,7 +42,16 @@ def test_records_are_whole_and_in_order(name: str, tmp_path: Path) -> None:
         assert face.pose is None or face.pose.shape == (3,)
 
 
-@every_format
+@pytest.mark.parametrize("name", FROM_BOTTOM)
+def test_what_counts_from_the_bottom_needs_its_picture(name: str, tmp_path: Path) -> None:
+    path, names = WRITE_FACES[name](tmp_path, [False, True, False])
+    dataset = FORMATS[name](path)
+    assert [face.face for face in dataset.faces] == names[1:2]
+    np.testing.assert_array_equal(dataset.faces[0].landmarks, [[1, 28], [3, 26]])  # the picture has 30 rows
+    assert [problem.split("/")[-1][:6] for problem in dataset.problems if "left out" in problem] == ["p0.png", "p2.png"]
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in FROM_BOTTOM])
 def test_a_face_without_its_picture_stays_a_face(name: str, tmp_path: Path) -> None:
     path, names = WRITE_FACES[name](tmp_path, [False, True, False])
     dataset = FORMATS[name](path)

@@ -1,5 +1,6 @@
 """Writes small files of labels in each format, with known faces, for the tests of their readers."""
 
+import json
 import sqlite3
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
+from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.schemes.known import LFPW29_NAMES
 
@@ -164,6 +166,63 @@ def _aflw2000(folder: Path, pictures: Sequence[bool]) -> Written:
     return folder, names
 
 
+# Files of annotations
+
+
+def write_picture(path: Path, width: int = 40, height: int = 30) -> None:
+    """A grey picture: readers that count from the bottom need its height."""
+    write_image(path, np.full((height, width, 3), 90, np.uint8))
+
+
+def _pictures(folder: Path, pictures: Sequence[bool]) -> list[str]:
+    names = [f"p{number}" for number in range(len(pictures))]
+    for name, there in zip(names, pictures, strict=True):
+        if there:
+            write_picture(folder / f"{name}.png")
+    return names
+
+
+def _tps(folder: Path, pictures: Sequence[bool]) -> Written:
+    names = _pictures(folder, pictures)
+    (folder / "a.tps").write_text("".join(f"LM=2\n1 2\n3. 4\nIMAGE={name}.png\n\n" for name in names))
+    return folder / "a.tps", names
+
+
+def _imglab(folder: Path, pictures: Sequence[bool]) -> Written:
+    names = _pictures(folder, pictures)
+    parts = "<part name='0' x='1' y='2'/><part name='1' x='3' y='4'/>"
+    images = "".join(
+        f"<image file='{name}.png'><box top='0' left='1' width='9' height='8'>{parts}</box></image>" for name in names
+    )
+    (folder / "a.xml").write_text(f"<?xml version='1.0'?><dataset><images>{images}</images></dataset>")
+    return folder / "a.xml", names
+
+
+def _coco(folder: Path, pictures: Sequence[bool]) -> Written:
+    names = _pictures(folder, pictures)
+    images = [{"id": number, "file_name": f"{name}.png"} for number, name in enumerate(names)]
+    annotations = [
+        {"id": n, "image_id": n, "category_id": 1, "keypoints": [1, 2, 2, 3, 4, 2], "bbox": [0, 0, 9, 9]}
+        for n in range(len(names))
+    ]
+    categories = [{"id": 1, "name": "wing", "keypoints": ["tip", "root"]}]
+    content = {"images": images, "annotations": annotations, "categories": categories}
+    (folder / "a.json").write_text(json.dumps(content))
+    return folder / "a.json", names
+
+
+def _csv(folder: Path, pictures: Sequence[bool]) -> Written:
+    names = _pictures(folder, pictures)
+    (folder / "a.csv").write_text("image,x1,y1,x2,y2\n" + "".join(f"{name}.png,1,2,3,4\n" for name in names))
+    return folder / "a.csv", names
+
+
+def _ml_morph(folder: Path, pictures: Sequence[bool]) -> Written:
+    names = _pictures(folder, pictures)
+    (folder / "a.csv").write_text("id,X0,Y0,X1,Y1\n" + "".join(f"{name}.png,1,2,3,4\n" for name in names))
+    return folder / "a.csv", names
+
+
 WRITE_FACES: Mapping[str, Callable[[Path, Sequence[bool]], Written]] = {
     "pts": _pts,
     "pts0": _pts,
@@ -172,4 +231,9 @@ WRITE_FACES: Mapping[str, Callable[[Path, Sequence[bool]], Written]] = {
     "pointing04": _pointing04,
     "aflw2000": _aflw2000,
     "aflw2000-all": _aflw2000,
+    "tps": _tps,
+    "imglab": _imglab,
+    "coco": _coco,
+    "csv": _csv,
+    "ml-morph": _ml_morph,
 }

@@ -30,6 +30,7 @@ from jaxfit.models.files import bundled, load, save
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.own import own_scheme
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.camera_asm import CameraASM
 from jaxfit.shapes.points import PointSpace
@@ -157,6 +158,19 @@ def test_every_scheme(tmp_path, scheme):
     found = load(str(tmp_path / "a.safetensors"))
     assert found.scheme == original.scheme
     assert same_arrays(found, original)
+
+
+def test_schemes_of_ones_own(tmp_path, loaded):
+    own = own_scheme({"name": "needle", "points": ["tip", "eye"], "lines": [[1, 2]], "normaliser": ["eye", "tip"]})
+    original = replace(model(), scheme=own.of(scheme_named("points2")))
+    save(original, tmp_path / "a.safetensors")
+    assert load(tmp_path / "a.safetensors").scheme == original.scheme
+    data = (tmp_path / "a.safetensors").read_bytes()
+    damage = {"names": ["tip"], "lines": [[0, 7]], "count": 3, "name": "ibug68", "normaliser": "outer"}
+    for key, value in damage.items():
+        change = partial(dict.update, **{key: value})
+        outcome = loaded(repacked(data, lambda header, change=change: change(header["scheme"])))
+        assert isinstance(outcome, str), key
 
 
 def test_the_same_model_gives_the_same_bytes(tmp_path):

@@ -99,9 +99,10 @@ def test_every_format_is_written_and_nothing_else(whole: tuple[FolderReport, Pat
     assert {path.name for path in out.iterdir()} == {path.name for path in report.written}
     assert {path.name for path in report.written} == {
         *("landmarks.csv", "problems.csv", "faces.jsonl", "keypoints.json", "landmarks.parquet"),
+        *("landmarks.tps", "landmarks.xml"),
         *("contact-sheet.jpg", "pts", "overlays", "manifest.json"),
     }
-    assert len(report.written) == 9
+    assert len(report.written) == 11
 
 
 def test_tables_pts_files_and_overlays_show_the_faces(whole: tuple[FolderReport, Path], drawn: Path) -> None:

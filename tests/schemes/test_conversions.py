@@ -6,7 +6,7 @@ from jax import numpy as jnp
 
 from jaxfit.errors import InputError
 from jaxfit.labels.datasets import convert_dataset
-from jaxfit.schemes.conversions import CONVERSIONS, convert, sources
+from jaxfit.schemes.conversions import CONVERSIONS, convert, convertible, sources
 from jaxfit.schemes.known import AFLW21, IBUG68, LFPW27, LFPW27_NAMES, LFPW29, LFPW29_NAMES, SCHEMES, scheme_named
 from jaxfit.schemes.scheme import Scheme, mirrored
 from jaxfit.shapes.procrustes import generalised_procrustes
@@ -81,8 +81,9 @@ def test_impossible_conversions_are_refused_with_the_possible_ones():
     expected = "from aflw21 to ibug68; known conversions: ibug68 to aflw21, ibug68 to lfpw27, lfpw29 to lfpw27"
     with pytest.raises(InputError, match=expected):
         convert(random_faces(AFLW21), AFLW21, IBUG68)
-    with pytest.raises(InputError, match="from points27 to lfpw27"):
-        convert(np.zeros((27, 2)), scheme_named("points27"), LFPW27)
+    with pytest.raises(InputError, match="from points28 to lfpw27"):
+        convert(np.zeros((28, 2)), scheme_named("points28"), LFPW27)
+    assert convertible(scheme_named("points27"), LFPW27)  # if somebody says so
 
 
 def test_landmarks_of_another_scheme_are_refused():

@@ -1,5 +1,6 @@
 """Formats of results, by the names that the command line knows."""
 
+from jaxfit.data.writers.annotations import write_imglab_results, write_tps_results
 from jaxfit.data.writers.coco import write_coco
 from jaxfit.data.writers.csv_tables import write_tables
 from jaxfit.data.writers.json_lines import write_json_lines
@@ -15,5 +16,7 @@ WRITERS: dict[str, Writer] = {
     "parquet": write_parquet,
     "jsonl": write_json_lines,
     "coco": write_coco,
+    "tps": write_tps_results,
+    "imglab": write_imglab_results,
 }
 DEFAULT_FORMATS = ("csv", "pts")
