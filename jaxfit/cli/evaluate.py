@@ -38,6 +38,7 @@ from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
 from jaxfit.models.files import load
 from jaxfit.processes import is_first
+from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.schemes.normalisers import NORMALISERS
 
 _COMMAND, _WRITTEN = "jaxfit evaluate", ("report.json", "faces.csv")
@@ -122,17 +123,16 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     with atomic_write(folder / _WRITTEN[0], "w") as file:
         settings = {
             "boxes": options.boxes,
-            "detector": options.detector,
-            "search": vars(fitting.search),
+            **fitting.settings(),
             "seed": options.seed,
-            "starts": fitting.starts.count,
-            "rotations": [fitting.starts.low, fitting.starts.high],
             "refine": options.refine,
             "passes": plan.pipeline.passes,
         }
         settings = {"model": options.model, **settings}
         json.dump(settings | {"datasets": reports}, file, indent=2)
     write_csv(folder / _WRITTEN[1], FACE_COLUMNS, face_rows(results))
+    settings |= {name: getattr(options, name) for name in ("box_kind", "scheme", "normaliser", "max_megapixels")}
+    settings |= file_digests(options.model, run_files(options.model, fitting, options.boxes))
     if replaced := replace_results(folder, _COMMAND, _WRITTEN, settings | {"data": list(reports)}):
         say(replaced)
     report_problems(

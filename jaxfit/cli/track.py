@@ -6,9 +6,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+import jaxfit
 from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
 from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.inputs import require_no_inputs
@@ -18,10 +20,11 @@ from jaxfit.data.overlays import draw_name, draw_row
 from jaxfit.data.rows import HEAD, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.one_euro import OneEuro
-from jaxfit.fitting.pipeline import usual_detector
+from jaxfit.fitting.pipeline import Fitting, usual_detector
 from jaxfit.fitting.track import TrackedFrame, track
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
+from jaxfit.runs.run_folder import file_digests, run_files
 from jaxfit.shapes.camera import ANGLES
 
 _COMMAND, _TABLE, _OVERLAY = "jaxfit track", "faces.csv", "overlay.webm"
@@ -105,11 +108,23 @@ def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Ite
     say(
         f"frames: {frames}, people: {len(people)}, faces: {faces}, faces/s: {faces / taken:.1f}, model: {options.model}"
     )
-    if replaced := replace_results(folder, _COMMAND, written, {"model": options.model, "video": options.video}):
+    if replaced := replace_results(folder, _COMMAND, written, _settings(options)):
         say(replaced)
     written.append(MANIFEST)
     say(f"written: {', '.join(str(folder / name) for name in written)}")
     return 0 if faces else 1
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """What the results depend on; JSON values, called like the options."""
+    fitting = Fitting(options.detector, given_search(options))
+    names = ("model", "video", "detector", "redetect_every", "smooth", "unshift", "overlay")
+    return {
+        "jaxfit": jaxfit.__version__,
+        **{name: getattr(options, name) for name in names},
+        **vars(fitting.search),
+        **file_digests(options.model, run_files(options.model, fitting)),
+    }
 
 
 @contextmanager

@@ -167,16 +167,27 @@ def require_same_settings(path: str | Path, settings: dict[str, Any]) -> None:
 
 
 def _differences(before: dict[str, Any], now: dict[str, Any], within: str = "") -> Iterator[str]:
-    """Where settings differ, and how, tables in them by their keys."""
+    """Where settings differ, and how, in the words of the command's options; tables in them by their keys."""
     for key in sorted({*before, *now}):
         was, is_now = before.get(key), now.get(key)
+        name = f"{within}{key}" if within else key.replace("_", "-")
         if isinstance(was, dict) and isinstance(is_now, dict):
-            yield from _differences(was, is_now, f"{within}{key}.")
+            yield from _differences(was, is_now, f"{name}.")
         elif was != is_now and all(isinstance(value, str) and _DIGEST.fullmatch(value) for value in (was, is_now)):
-            yield f"{within}{key}: others"
+            yield f"{name}: others"
         elif was != is_now:
-            values = ("none" if value is None else json.dumps(value) for value in (was, is_now))
-            yield f"{within}{key}: {' there, '.join(values)} here"
+            yield f"{name}: {_as_given(was)} there, {_as_given(is_now)} here"
+
+
+def _as_given(value: Any) -> str:
+    """A setting, a JSON value, as it stands on a command line."""
+    if value is None:
+        return "not given"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return " ".join(map(_as_given, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def not_written(path: str | Path, error: Exception) -> str:

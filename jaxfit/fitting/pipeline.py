@@ -125,7 +125,7 @@ class Fitting:
             )
 
     def settings(self) -> dict[str, Any]:
-        """The settings as JSON values, for runs that go on only with the same.
+        """The settings as JSON values, called like the command's options, for runs that go on only with the same.
 
         Raises:
             InputError: the detector does not come by name.
@@ -135,5 +135,6 @@ class Fitting:
                 "expected the name of a detector, as runs that go on later and workers need it; jaxfit.fit and "
                 "jaxfit.track take a detector of your own"
             )
-        values = {"detector": self.detector, "search": vars(self.search), "starts": vars(self.starts)}
+        starts = {"starts": self.starts.count, "rotations": [self.starts.low, self.starts.high]}
+        values = {"detector": self.detector, **vars(self.search), **starts}
         return values if self.passes is None else values | {"passes": self.passes}

@@ -67,14 +67,19 @@ def test_faces_and_overlay_are_written(
     assert "frames: 10, people: 1, faces: 10, faces/s: " in capsys.readouterr().out
 
 
-def test_smooth_smooths(film: Path, drawn_model: Path, tmp_path: Path) -> None:
+def test_smooth_smooths_and_says_what_it_replaced(
+    film: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     shaken = []
-    for name, more in (("plain", []), ("smooth", ["--smooth"])):
-        arguments = ["--model", str(drawn_model), "--detector", "drawn", "--out", str(tmp_path / name), *more]
+    for more, replaced in (([], ""), (["--smooth"], "with other settings (smooth: no there, yes here)")):
+        arguments = ["--model", str(drawn_model), "--detector", "drawn", "--out", str(tmp_path), *more]
         assert main(["track", str(film), *arguments]) == 0
-        xs = np.array([float(row["x1"]) for row in read_csv(tmp_path / name / "faces.csv")])
+        said = capsys.readouterr().out
+        assert replaced in said
+        assert (f"replaced what `jaxfit track` wrote to {tmp_path}" in said) == bool(replaced)
+        xs = np.array([float(row["x1"]) for row in read_csv(tmp_path / "faces.csv")])
         shaken.append(np.abs(np.diff(xs, 2)).mean())
-        assert not (tmp_path / name / "overlay.webm").exists()
+        assert not (tmp_path / "overlay.webm").exists()
     assert shaken[1] < 0.9 * shaken[0]
 
 

@@ -81,6 +81,24 @@ def test_a_folder_belongs_to_the_command_that_wrote_to_it(tmp_path):
         require_own_folder(tmp_path, "jaxfit evaluate")
 
 
+@pytest.mark.parametrize(
+    ("before", "now", "words"),
+    [
+        ({"detector": None}, {"detector": "haar"}, "detector: not given there, haar here"),
+        ({"any_rotation": False}, {"any_rotation": True}, "any-rotation: no there, yes here"),
+        ({"starts": 1}, {"starts": 11}, "starts: 1 there, 11 here"),
+        ({"rotations": [-90.0, 90.0]}, {"rotations": [-45.0, 45.0]}, "rotations: -90 90 there, -45 45 here"),
+        ({"model file": "0" * 16}, {"model file": "1" * 16}, "model file: others"),
+        ({"labels": {"my_data": "a"}}, {"labels": {"my_data": "b"}}, "labels.my_data: a there, b here"),
+        ({"smooth": True}, {"smooth": True}, ""),
+    ],
+)
+def test_other_settings_are_said_in_the_words_of_the_options(tmp_path: Path, before: dict, now: dict, words: str) -> None:
+    replace_results(tmp_path, "jaxfit track", [], before)
+    said = replace_results(tmp_path, "jaxfit track", [], now)
+    assert said.endswith(f" with other settings ({words})") if words else said == ""
+
+
 @pytest.mark.parametrize("name", ["../kept.txt", "link/kept.txt", "folder", ".", "", "nothing", "a" * 300, "\0"])
 def test_what_a_manifest_of_anyone_lists_is_removed_only_in_its_folder(tmp_path: Path, name: str) -> None:
     kept, out = tmp_path / "kept.txt", tmp_path / "out"

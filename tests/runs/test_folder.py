@@ -321,7 +321,7 @@ def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: P
         kept.write_text("mine")
     said = fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2]).replaced
     assert f"replaced what `jaxfit fit` wrote to {out} at " in said
-    assert "overlays: true there, false here; pictures: 3 there, 1 here" in said
+    assert "overlays: yes there, no here; pictures: 3 there, 1 here" in said
     assert fit_folder(replace(run, formats=("csv",), overlays=False), pictures[1:2]).replaced == ""
     there = {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
     assert there == {"landmarks.csv", "problems.csv", "manifest.json", "pts/mine.pts", "notes.txt"}
@@ -357,7 +357,7 @@ def test_other_pictures_of_the_same_names_are_other_settings(
 
 def test_overwriting_an_unfinished_run(run: FolderRun, pictures: list[Path]) -> None:
     _fit_until(replace(run, overlays=False), pictures[:4], 0)
-    with pytest.raises(InputError, match="overlays: false there, true here"):
+    with pytest.raises(InputError, match="overlays: no there, yes here"):
         fit_folder(run, pictures[:4])
     assert fit_folder(replace(run, overwrite=True), pictures[:4]).faces == 3
 
