@@ -17,10 +17,10 @@ from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
 from jaxfit.fitting.pipeline import Fitting
+from jaxfit.image.frame import Frame
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.learning.methods import Options, default_descriptor
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
-from jaxfit.models.model import Model
 from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 
@@ -95,9 +95,9 @@ def add_unshift(command: argparse.ArgumentParser) -> None:
     )
 
 
-def given_unshift(arguments: argparse.Namespace, model: Model) -> list[str]:
-    """That ``--unshift`` changes nothing, if it was given and does not."""
-    if not arguments.unshift or model.cascade.frame.shift:
+def given_unshift(arguments: argparse.Namespace, frame: Frame) -> list[str]:
+    """That ``--unshift`` changes nothing of a model with crops in this frame, if it was given and does not."""
+    if not arguments.unshift or frame.shift:
         return []
     return [f"--unshift: {arguments.model} knows of no shift of its labels: its fits stay where they are"]
 
@@ -196,9 +196,9 @@ def add_refine(command: argparse.ArgumentParser) -> None:
     )
 
 
-def untrained_starts(name: str, model: Model, starts: Starts) -> list[str]:
-    """A warning where several starts are asked for of a model that was trained for one."""
-    if starts.count == 1 or model.starts.count > 1:
+def untrained_starts(name: str, trained: Starts, starts: Starts) -> list[str]:
+    """A warning where several starts are asked for of a model that was ``trained`` for one."""
+    if starts.count == 1 or trained.count > 1:
         return []
     return [f"{name} was trained for a single start: its fits from several, turned ones may all be wrong"]
 

@@ -10,10 +10,11 @@ from jaxfit.cli.arguments import (
     add_unshift,
     given_fitting,
     given_unshift,
+    untrained_starts,
 )
 from jaxfit.cli.progress import Bars, say, warn
 from jaxfit.data.pictures import find_images
-from jaxfit.models.files import load
+from jaxfit.models.files import read_usual_fits
 from jaxfit.runs.collection import fit_collection
 from jaxfit.runs.workers import BatchFitter
 
@@ -41,11 +42,12 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
+    fitting = given_fitting(options)
     fitter = BatchFitter(
-        options.model, given_fitting(options), options.refine, options.cores, options.max_megapixels, options.unshift
+        options.model, fitting, options.refine, options.cores, options.max_megapixels, options.unshift
     )
-    if options.unshift:
-        warn(given_unshift(options, load(options.model)))
+    frame, trained = read_usual_fits(options.model)  # the model itself is loaded by the workers
+    warn(untrained_starts(options.model, trained, fitting.starts) + given_unshift(options, frame))
     pictures = find_images(options.pictures, options.recursive)
     with Bars() as bars:
         outcomes = fit_collection(

@@ -111,7 +111,7 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         *(face.image for dataset in datasets for face in dataset.faces),
     ]
     require_no_inputs([folder / name for name in (*_WRITTEN, MANIFEST)], given)
-    warn(untrained_starts(options.model, model, fitting.starts))
+    warn(untrained_starts(options.model, model.starts, fitting.starts))
     if plan.unused:
         warn([f"{options.boxes}: {unused_rows(plan.unused)}"])
     with Bars() as bars:

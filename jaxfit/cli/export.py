@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> int:
     model, out = load(options.model), Path(options.out)
     starts = given_starts(options)
     require_no_inputs([out], [options.model])
-    warn(untrained_starts(options.model, model, starts) + given_unshift(options, model))
+    warn(untrained_starts(options.model, model.starts, starts) + given_unshift(options, model.cascade.frame))
     export_model(model.unshifted() if options.unshift else model, out, starts)
     exported = load_exported(out)
     side = exported.frame.crop

@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     )
     pictures = find_images(options.pictures, options.recursive)
     model = load(options.model)
-    warn(untrained_starts(options.model, model, fitting.starts) + given_unshift(options, model))
+    warn(untrained_starts(options.model, model.starts, fitting.starts) + given_unshift(options, model.cascade.frame))
     with Bars() as bars:
         report = fit_folder(how, pictures, bars)
     if report.resumed:

@@ -58,7 +58,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Track and write; 1 if there was no face at all."""
     model = load(options.model)
-    warn(given_unshift(options, model))
+    warn(given_unshift(options, model.cascade.frame))
     model = model.unshifted() if options.unshift else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()

@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,13 @@ from safetensors.numpy import save as pack_tensors
 
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.starts import Starts
 from jaxfit.data.inputs import read_regular
 from jaxfit.data.outputs import atomic_write
 from jaxfit.descriptors import DESCRIPTORS
 from jaxfit.errors import InputError, JaxfitError, ModelError
 from jaxfit.image.frame import Frame
-from jaxfit.models.model import Model
+from jaxfit.models.model import Model, trained_starts
 from jaxfit.models.placements import Placement, read_placement
 from jaxfit.modes import computing
 from jaxfit.schemes.own import scheme_json, scheme_of_json
@@ -90,8 +92,28 @@ def load(name: str | Path = DEFAULT_MODEL) -> Model:
         ModelError: no such model, or a file that is damaged or of another format version.
     """
     data = read_named(name, BUNDLED, "model")
-    try:
+    with _named_in_errors(name):
         return _parse(data)
+
+
+def read_usual_fits(name: str | Path) -> tuple[Frame, Starts]:
+    """The frame of a model's crops and the starts that it was trained for, without its arrays: for a process that hands
+    the work to others, and need not have JAX take a device.
+
+    Raises:
+        ModelError: as `load`, as far as the header says.
+    """
+    data = read_named(name, BUNDLED, "model")
+    with _named_in_errors(name):
+        header = read_header(data, _KEY, FORMAT, "model")
+        return read_usage(header)[0], trained_starts(header["training"])
+
+
+@contextmanager
+def _named_in_errors(name: str | Path) -> Iterator[None]:
+    """Whatever damage raises becomes an error that names the model file."""
+    try:
+        yield
     except ModelError as error:
         raise ModelError(f"{name}: {error}") from None
     except DAMAGE as error:

@@ -79,7 +79,7 @@ class Model:
     @property
     def starts(self) -> Starts:
         """The starts that the model was trained for; a single one if it does not say."""
-        return Starts(self.training.get("initialisations", 1), *self.training.get("rotations", ()))
+        return trained_starts(self.training)
 
     @cached_property
     def known_placements(self) -> dict[str, Placement]:
@@ -101,3 +101,8 @@ class Model:
                 "the kinds of the detectors that find ten of its faces or more"
             )
         return known[kind]
+
+
+def trained_starts(training: dict[str, Any]) -> Starts:
+    """The starts that ``Model.training`` says the model was trained for."""
+    return Starts(training.get("initialisations", 1), *training.get("rotations", ()))

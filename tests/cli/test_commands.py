@@ -83,6 +83,19 @@ def test_words_that_an_option_took_are_said(request_: str, words: str, capsys: p
     assert re.search(words, capsys.readouterr().err.strip())
 
 
+def test_a_collection_warns_as_a_folder_run_does_and_leaves_the_model_to_its_workers(
+    drawn: Path, drawn_model: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    outcomes = {"fitted": 1, "none": 0, "problem": 0, "missing": 0}
+    monkeypatch.setattr("jaxfit.cli.collect.fit_collection", lambda *arguments, **options: outcomes)
+    monkeypatch.setattr("jaxfit.models.files._parse", None)
+    asked = ["--starts", "3", "--unshift", "--out", "unwritten"]
+    assert main(["collect", str(drawn), "--model", str(drawn_model), *asked]) == 0
+    warnings = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    assert "was trained for a single start" in warnings[0]
+    assert "knows of no shift of its labels" in warnings[1]
+
+
 def test_datasets_of_different_landmarks_are_not_mixed(
     drawn: Path, drawn_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

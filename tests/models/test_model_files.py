@@ -26,7 +26,7 @@ from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError, ModelError
 from jaxfit.image.frame import Frame
-from jaxfit.models.files import bundled, load, save
+from jaxfit.models.files import bundled, load, read_usual_fits, save
 from jaxfit.models.model import Model
 from jaxfit.models.placements import Placement
 from jaxfit.schemes.known import scheme_named
@@ -354,8 +354,9 @@ def test_missing_files_and_folders(tmp_path):
     with pytest.raises(ModelError, match=f"no model '{tmp_path}'"):
         load(tmp_path)
     (tmp_path / "empty.safetensors").touch()
-    with pytest.raises(ModelError, match=rf"{tmp_path}/empty\.safetensors: not a jaxfit model, or damaged"):
-        load(tmp_path / "empty.safetensors")
+    for read in (load, read_usual_fits):
+        with pytest.raises(ModelError, match=rf"{tmp_path}/empty\.safetensors: not a jaxfit model, or damaged"):
+            read(tmp_path / "empty.safetensors")
 
 
 @pytest.mark.parametrize("name", ["model", "model.npz", "none/model.safetensors"])
@@ -393,6 +394,12 @@ def test_a_model_without_steps_is_refused(tmp_path):
     save(replace(model, cascade=none), tmp_path / "none.safetensors")
     with pytest.raises(ModelError, match="there are no steps"):
         load(tmp_path / "none.safetensors")
+
+
+@pytest.mark.parametrize("name", ["fast68", "parametric68"])
+def test_how_a_model_fits_is_known_without_its_arrays(name):
+    whole = load(name)
+    assert read_usual_fits(name) == (whole.cascade.frame, whole.starts)
 
 
 def test_bundled_models_load():
