@@ -193,8 +193,8 @@ def _said(*arguments: str) -> str:
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code: int | str | None = command(arguments)
-        except SystemExit as wrong:  # of argparse, whose last line says what is wrong
-            return f"{err.getvalue().splitlines()[-1]}\nexit code {wrong.code}"
+        except SystemExit as wrong:  # of argparse
+            return f"{err.getvalue()}exit code {wrong.code}"
     complaints = [line for line in err.getvalue().splitlines() if not line.endswith("…")]
     first = out.getvalue().splitlines()[:1] if arguments[0] == "fit" else []
     return "\n".join([*complaints, *first, f"exit code {code}"])

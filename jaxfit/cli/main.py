@@ -13,6 +13,7 @@ from jaxfit.cli.progress import say
 from jaxfit.cli.streams import lasting_streams
 from jaxfit.compile_cache import keep_compiled_code
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels
+from jaxfit.data.names import printable
 from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
@@ -35,16 +36,20 @@ class _Parser(argparse.ArgumentParser):
         return super().parse_known_args(self._words, namespace)
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong, and where it may come from: an option of several values takes all words that follow."""
+        """Say what is wrong, and where it may come from: an option of several values takes all words that follow. Where
+        a command is missing, list the commands."""
         missing = message.partition("the following arguments are required: ")[2].split(", ")
         lost = [name for name in missing if name and not name.startswith("-")]
+        if lost and self._subparsers is not None:
+            self.print_help(sys.stderr)
+            self.exit(2)
         several = (action for action in self._actions if action.nargs in ("+", "*", "?"))
         given = [name for action in several for name in action.option_strings if name in self._words]
         taking = given if lost else [name for name in given if message.startswith(f"argument {name}: invalid")]
         if taking:
             own = " and ".join(lost) or "other words"
             message += f"; {taking[0]} takes all words that follow, up to the next option: put {own} before it"
-        super().error(message)
+        self.exit(2, f"{self.prog}: error: {printable(message)}\nsee {self.prog} --help\n")
 
 
 def parser() -> argparse.ArgumentParser:

@@ -80,7 +80,22 @@ def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.Ca
 def test_words_that_an_option_took_are_said(request_: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(request_.split())
-    assert re.search(words, capsys.readouterr().err.strip())
+    wrong, help_, *rest = capsys.readouterr().err.splitlines()
+    assert re.search(words, wrong)
+    assert help_ == f"see jaxfit {request_.split()[0]} --help"
+    assert not rest
+
+
+@pytest.mark.parametrize(("request_", "listed"), [("", "  fit        find landmarks"), ("experiments", "  run  ")])
+def test_commands_are_listed_where_one_is_missing(
+    request_: str, listed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(request_.split())
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out) == (2, "")
+    assert listed in said.err
+    assert "error" not in said.err
 
 
 def test_a_collection_warns_as_a_folder_run_does_and_leaves_the_model_to_its_workers(
