@@ -40,11 +40,14 @@ class Starts:
     high: float = 90.0
 
     def __post_init__(self) -> None:
-        ordered = -360 <= self.low <= self.high <= min(360, self.low + 360)
-        if self.count < 1 or self.count == 2 or not ordered:
+        if self.count < 1 or self.count == 2:
             raise InputError(
-                "expected one start or at least three (of two fits none is nearer to the others), and rotations in "
-                f"degrees, the lowest first, such as -90 and 90; got {self.count} starts from {self.low} to {self.high}"
+                f"expected one start or at least three (of two fits none is nearer to the others); got {self.count}"
+            )
+        if not -360 <= self.low <= self.high <= min(360, self.low + 360):
+            raise InputError(
+                "expected rotations of starts in degrees, the lowest first and at most a full circle apart, from -360 "
+                f"to 360, such as -90 and 90; got {self.low:g} and {self.high:g}"
             )
 
     @property

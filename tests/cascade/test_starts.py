@@ -60,7 +60,8 @@ def test_rotations_cover_the_range_evenly(starts: Starts, degrees: list[float]) 
     ids=str,
 )
 def test_impossible_starts_are_refused(wrong: tuple[int, float, float]) -> None:
-    with pytest.raises(InputError, match="expected one start or at least three"):
+    words = "expected rotations of starts in degrees" if wrong[0] in (1, 3) else "expected one start or at least three"
+    with pytest.raises(InputError, match=words):
         Starts(*wrong)
 
 

@@ -128,7 +128,7 @@ def test_wrong_settings_are_refused_before_anything_is_written(
 ) -> None:
     out = tmp_path / "out"
     for words, wrong in {
-        "one start or at least three": ["--starts", "2"],
+        r"expected one start or at least three (of two fits none is nearer to the others); got 2": ["--starts", "2"],
         "the lowest first": ["--rotations", "10", "-10"],
         "only models of the method alignment3d": ["--refine", "--detector", "whole"],
         "give that file too": ["--box-kind", "whole"],
