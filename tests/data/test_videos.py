@@ -172,6 +172,8 @@ def test_of_a_file_that_was_cut_short_what_is_there_is_read(tmp_path: Path) -> N
 def test_files_that_are_no_videos(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no file"):
         Video(tmp_path / "missing.mp4")
+    with pytest.raises(InputError, match="is a folder: name one of its videos, or fit its pictures"):
+        Video(tmp_path)
     with pytest.raises(InputError, match="there is no file"):
         Video(tmp_path)
     film(tmp_path / "film.mp4")

@@ -91,7 +91,8 @@ class YuNet:
 
     def __post_init__(self) -> None:
         if self.path is not None and not Path(self.path).is_file():
-            raise InputError(f"yunet: expected YuNet's ONNX file; there is no file {self.path}")
+            found = f"{self.path} is a folder" if Path(self.path).is_dir() else f"there is no file {self.path}"
+            raise InputError(f"yunet: expected YuNet's ONNX file; {found}")
         try:
             self._found(np.zeros((64, 64, 3), np.uint8))
         except cv2.error as error:
