@@ -10,8 +10,9 @@ from typing import Any
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.detectors import Search, box_kinds, detector_specs
-from jaxfit.data.limits import DEFAULT_MEGAPIXELS
+from jaxfit.data.limits import DEFAULT_MEGAPIXELS, MOST_SLOW_BYTES
 from jaxfit.data.numbers import whole_number
+from jaxfit.data.sizes import HEAVY
 from jaxfit.descriptors import DESCRIPTORS, descriptor_like
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
@@ -66,7 +67,10 @@ def add_max_megapixels(command: argparse.ArgumentParser) -> None:
         type=float,
         default=DEFAULT_MEGAPIXELS,
         metavar="N",
-        help=f"of a picture, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small files may become very large",
+        help=f"of a picture, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small files may become very large. A "
+        f"pixel of AVIF, HEIC and Netpbm's floats counts as {HEAVY:g} ({DEFAULT_MEGAPIXELS / HEAVY:g} by default), one of "
+        "JPEG 2000 with transparency as 1.33; files of AVIF, HEIC and JPEG 2000 have at most "
+        f"{MOST_SLOW_BYTES // 1_000_000} MB, whatever N is",
     )
 
 

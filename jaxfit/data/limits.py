@@ -14,7 +14,7 @@ DEFAULT_MEGAPIXELS = 180.0
 _MOST_SCANS = 100  # of a progressive JPEG, which have about ten; each goes through the whole picture
 _MOST_WORK = 2000.0  # million pixels times scans
 _MOST_MEGAPIXELS = 1000.0  # OpenCV's own limit is 2^30 pixels
-_MOST_SLOW_BYTES = 64_000_000  # of AVIF, HEIC and JPEG 2000, each of which takes a sixth of a microsecond
+MOST_SLOW_BYTES = 64_000_000  # of AVIF, HEIC and JPEG 2000, each of which takes a sixth of a microsecond
 _BYTES_OF_PIXEL, _BYTES_OF_HEADERS = 8, 1 << 26  # the most that formats without compression take
 
 _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPIXELS)
@@ -106,6 +106,6 @@ def size_problem(width: int, height: int, scans: int = 1, weight: float = 1.0, s
         )
     if scans > _MOST_SCANS or scans * millions > _MOST_WORK:
         return f"a progressive JPEG of {scans} scans of {width} x {height} pixels takes too long; save it again"
-    if slow_bytes > _MOST_SLOW_BYTES:
+    if slow_bytes > MOST_SLOW_BYTES:
         return f"a file of {slow_bytes:,} bytes in this format takes too long; save it as JPEG or PNG"
     return None

@@ -26,7 +26,7 @@ _MOST_BOXES = 4096  # before the pixels of a JPEG 2000 file
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
 _SEQUENTIAL = (0xC0, 0xC1, 0xC9)  # of JPEG's frames
 _FLOATS = (b"PF", b"Pf")  # Netpbm's
-_HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
+HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
 _HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
 
 
@@ -72,7 +72,7 @@ def weight_of(data: bytes) -> float:
         return float(max(1, tags.get(_BITS, 8) * min(tags.get(_SAMPLES, 1), 64) // 48))  # a pixel may have many numbers
     if (at := _codestream(data)) is not None:
         return max(1.0, int.from_bytes(data[at + 40 : at + 42]) / 3)  # of 32 bits, however many it says
-    return _HEAVY if _is_iso(data) or data[:2] in _FLOATS else 1.0
+    return HEAVY if _is_iso(data) or data[:2] in _FLOATS else 1.0
 
 
 def slow_bytes(data: bytes) -> int:
