@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = jaxfit.load(arguments.model)
     (dataset,) = read_datasets([arguments.data], None)
     with Bars() as bars:
-        calibrated = calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], bars)
+        calibrated = calibrate_boxes(model, [face for face in dataset.faces if frontal(face)], progress=bars)
     placement = calibrated.placement
     report_problems([*dataset.problems, *calibrated.problems])
     kind = parse_spec(dataset.spec)[0]

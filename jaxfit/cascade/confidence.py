@@ -55,9 +55,9 @@ class Confidence:
 
     def logit(self, clues: Clues) -> Scalar:
         """The logarithm of its odds."""
-        seen = jnp.matmul(clues.features, self.seen, precision=_EXACT)
+        described = jnp.matmul(clues.features, self.seen, precision=_EXACT)
         moved = jnp.matmul(clues.moves, self.moved, precision=_EXACT)
-        return jnp.dot(jnp.tanh(seen + moved + self.biases), self.output, precision=_EXACT) + self.offset
+        return jnp.dot(jnp.tanh(described + moved + self.biases), self.output, precision=_EXACT) + self.offset
 
 
 def count_moves(steps: int) -> int:

@@ -246,8 +246,8 @@ def _loss(
 ) -> Scalar:
     """The mean loss of a batch, with some landmarks hidden from each step."""
     keys = random.split(key, len(cascade.weights))
-    seen = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
-    distances = _distances_of_steps(cascade, levels, batch, states, seen)
+    keep = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
+    distances = _distances_of_steps(cascade, levels, batch, states, keep)
     shares = _EARLIER ** np.arange(len(distances), dtype=np.float32)[::-1]
     return (
         jnp.sum(shares * jnp.stack([_mean_known(optax.losses.huber_loss(e, delta=_BEND)) for e in distances])) / _BEND
@@ -259,7 +259,7 @@ def _everything(step: int, features: Array) -> Array:
 
 
 def _without_some(keys: Array, dropped: float, landmarks: int, step: int, features: Array) -> Array:
-    """The features of a step, 0 for landmarks that it does not see, and the others so much larger."""
+    """The features of a step, 0 for landmarks that are hidden from it, and the others so much larger."""
     of_landmarks = features.reshape(*features.shape[:2], landmarks, -1)
     kept = random.bernoulli(keys[step], jnp.float32(1 - dropped), (*of_landmarks.shape[:3], 1))
     return (jnp.where(kept, of_landmarks, 0.0) / (1 - dropped)).reshape(features.shape)
@@ -288,11 +288,11 @@ def _features(
 
 
 def _distances_of_steps(
-    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, seen: Callable[[int, Array], Array]
+    cascade: Cascade, levels: tuple[int, ...], batch: _Batch, states: State, keep: Callable[[int, Array], Array]
 ) -> list[Float[Array, "faces landmarks"]]:
     """After each step, how far the landmarks are from the true ones, in sides of the canonical face; NaN if unknown.
 
-    ``levels`` are the descriptor's, one a step, ``states`` (faces, 1) the starts; ``seen`` is what a step sees of its
+    ``levels`` are the descriptor's, one a step, ``states`` (faces, 1) the starts; ``keep`` gives what a step has of its
     features.
     """
     descriptor, space = cascade.descriptor, cascade.space
@@ -300,7 +300,7 @@ def _distances_of_steps(
     found = []
     # Not a scan over the steps: in each, the gradient would be that of all steps' weights.
     for step in range(len(cascade.weights)):
-        features = seen(step, _features(cascade, prepared, states, step, levels[step]))
+        features = keep(step, _features(cascade, prepared, states, step, levels[step]))
         directions = None if cascade.directions is None else cascade.directions[step]
         regressor = Regressor(cascade.weights[step], cascade.biases[step], directions)
         states = vmap(vmap(partial(advanced, descriptor, space)))(states, regressor.predict(features))

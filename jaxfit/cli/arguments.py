@@ -68,8 +68,8 @@ def add_max_megapixels(command: argparse.ArgumentParser) -> None:
         default=DEFAULT_MEGAPIXELS,
         metavar="N",
         help=f"of a picture, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small files may become very large. A "
-        f"pixel of AVIF, HEIC and Netpbm's floats counts as {HEAVY:g} ({DEFAULT_MEGAPIXELS / HEAVY:g} by default), one of "
-        "JPEG 2000 with transparency as 1.33; files of AVIF, HEIC and JPEG 2000 have at most "
+        f"pixel of AVIF, HEIC and Netpbm's floats counts as {HEAVY:g} ({DEFAULT_MEGAPIXELS / HEAVY:g} by default), one "
+        "of JPEG 2000 with transparency as 1.33; files of AVIF, HEIC and JPEG 2000 have at most "
         f"{MOST_SLOW_BYTES // 1_000_000} MB, whatever N is",
     )
 

@@ -43,9 +43,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
     fitting = given_fitting(options)
-    fitter = BatchFitter(
-        options.model, fitting, options.refine, options.cores, options.max_megapixels, options.unshift
-    )
+    fitter = BatchFitter(options.model, fitting, options.refine, options.cores, options.max_megapixels, options.unshift)
     frame, trained = read_usual_fits(options.model)  # the model itself is loaded by the workers
     warn(untrained_starts(options.model, trained, fitting.starts) + given_unshift(options, frame))
     pictures = find_images(options.pictures, options.recursive)

@@ -67,7 +67,7 @@ def run_command(options: argparse.Namespace) -> int:
     begin = time.monotonic()
     with Bars() as bars:
         progress = _TaskProgress(bars)
-        run_experiment(config, folder, progress.within, progress.begun)
+        run_experiment(config, folder, progress=progress.within, begun=progress.begun)
     results = read_results(folder)
     kept = (path for part in _KEPT for path in (folder / part).rglob("*") if path.is_file())
     written = [SETTINGS, *(path.relative_to(folder).as_posix() for path in kept)]

@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     model = load(options.model)
     warn(untrained_starts(options.model, model.starts, fitting.starts) + given_unshift(options, model.cascade.frame))
     with Bars() as bars:
-        report = fit_folder(how, pictures, bars)
+        report = fit_folder(how, pictures, progress=bars)
     if report.resumed:
         say(f"going on: {report.resumed} of {report.pictures} pictures were fitted before")
     if report.left_out:

@@ -64,8 +64,8 @@ class Video:
         self.name = f"camera {source}" if self.live else str(source)
         if not isinstance(source, int) and Path(source).is_dir():
             raise InputError(
-                f"expected a video file or the number of a camera; {source} is a folder: name one of its videos, or fit "
-                "its pictures (jaxfit fit, jaxfit.fit)"
+                f"expected a video file or the number of a camera; {source} is a folder: name one of its videos, or "
+                "fit its pictures (jaxfit fit, jaxfit.fit)"
             )
         if not isinstance(source, int) and not Path(source).is_file():
             raise InputError(f"expected a video file or the number of a camera; there is no file {source}")

@@ -42,6 +42,7 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
 def detected_boxes(
     faces: Sequence[FaceRecord],
     detector: str | Detector,
+    *,
     progress: Progress = silent,
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """The boxes (N, 4) in which a detector finds labelled faces, their kinds, and their rotations (N,) in degrees; NaN,

@@ -116,7 +116,7 @@ class EvaluationPlan:
         kinds: str | list[str] = planned.box_kind
         rotations: np.ndarray | None = None
         if self._detector is not None:
-            boxes, kinds, rotations = detected_boxes(faces, self._detector, progress)
+            boxes, kinds, rotations = detected_boxes(faces, self._detector, progress=progress)
         elif self._boxes is not None:
             boxes, kinds, rotations = share_boxes(faces, self._boxes)
         else:

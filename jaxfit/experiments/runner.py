@@ -51,6 +51,7 @@ class Status:
 def run_experiment(
     config: Config,
     folder: Path,
+    *,
     progress: Progress = silent,
     begun: Callable[[Task, Status], None] = lambda task, status: None,
 ) -> None:

@@ -315,7 +315,7 @@ class PoseTask:
             for group, name in zip(self.groups, self.needs, strict=True)
             for method in group
         }
-        results = evaluate_pose(models, dataset, experiment.config.seed, progress)
+        results = evaluate_pose(models, dataset, experiment.config.seed, progress=progress)
         first = next(iter(results.values()))
         problems = [
             *dataset.problems,

@@ -79,7 +79,7 @@ def draw_starts(
             if start == PATTERN:
                 pixels, points = _pattern(rng, frame.crop), np.full_like(points, np.nan)
             else:
-                box = start_box(start, bounding_square(points), picture.shape, rng)
+                box = box_of_start(start, bounding_square(points), picture.shape, rng)
                 if box is None:
                     continue
                 cut(picture, *placement.face_in(box), crop, 0)
@@ -95,7 +95,7 @@ def draw_starts(
     return drawn, tuple(dict.fromkeys(problems))
 
 
-def start_box(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:
+def box_of_start(start: str, square: np.ndarray, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray | None:
     """A box (4,) of this kind, for a face in this square (4,) of a picture (H, W); None: there is none."""
     if start in (DETECTED, UPSIDE_DOWN):
         return jitter(square, rng, rng.uniform(0.06, 0.15), rng.uniform(0.08, 0.2))

@@ -48,6 +48,7 @@ class Calibrated:
 def calibrate_boxes(
     model: Model,
     faces: Sequence[FaceRecord],
+    *,
     progress: Progress = silent,
 ) -> Calibrated:
     """How faces lie in the boxes of ``faces``, for ``model.placements`` under a name of yours.
@@ -134,6 +135,7 @@ def evaluate_in_own_boxes(
     models: Mapping[str, Model],
     faces: Sequence[FaceRecord],
     calibrator: Model,
+    *,
     progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models from the boxes of a dataset that none of them knows, learning nothing from who is tested.
@@ -176,6 +178,7 @@ def evaluate_pose(
     models: Mapping[str, Model],
     dataset: Dataset,
     seed: int = 0,
+    *,
     progress: Progress = silent,
 ) -> dict[str, Evaluation]:
     """Evaluate models of 3D methods on faces with labelled poses: from the labels' squares, or, without landmarks,
@@ -194,7 +197,7 @@ def evaluate_pose(
         InputError: as `evaluate` and `evaluate_in_own_boxes`.
     """
     if dataset.scheme == NO_LANDMARKS:
-        return evaluate_in_own_boxes(models, dataset.faces, load(_CALIBRATOR), progress)
+        return evaluate_in_own_boxes(models, dataset.faces, load(_CALIBRATOR), progress=progress)
     boxes = start_boxes(dataset.faces, seed)
     return {
         name: evaluate(model, dataset.faces, boxes, normaliser="box", progress=progress)

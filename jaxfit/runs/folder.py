@@ -161,7 +161,7 @@ class FolderReport:
     replaced: str
 
 
-def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progress = silent) -> FolderReport:
+def fit_folder(run: FolderRun, pictures: Sequence[str | Path], *, progress: Progress = silent) -> FolderReport:
     """Fit pictures into a folder of results: tables and other formats, overlays, and ``problems.csv``.
 
     The folder is the run's own: ``manifest.json`` says what was written, by what and when, and files of an earlier run

@@ -50,7 +50,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[FolderRun, list[Path]]]
     """Nothing is fitted; what would be is gathered."""
     calls: list[tuple[FolderRun, list[Path]]] = []
 
-    def fit_folder(run: FolderRun, pictures: Sequence[Path], progress: Callable[[str, int, int], None]) -> FolderReport:
+    def fit_folder(
+        run: FolderRun, pictures: Sequence[Path], *, progress: Callable[[str, int, int], None]
+    ) -> FolderReport:
         calls.append((run, list(pictures)))
         why = (Unfit("a.png", "the file is empty"),)
         return FolderReport(12, 8, 0, 0, why, (), (), (Path("out") / "problems.csv",), 0, "")

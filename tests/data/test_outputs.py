@@ -93,7 +93,9 @@ def test_a_folder_belongs_to_the_command_that_wrote_to_it(tmp_path):
         ({"smooth": True}, {"smooth": True}, ""),
     ],
 )
-def test_other_settings_are_said_in_the_words_of_the_options(tmp_path: Path, before: dict, now: dict, words: str) -> None:
+def test_other_settings_are_said_in_the_words_of_the_options(
+    tmp_path: Path, before: dict, now: dict, words: str
+) -> None:
     replace_results(tmp_path, "jaxfit track", [], before)
     said = replace_results(tmp_path, "jaxfit track", [], now)
     assert said.endswith(f" with other settings ({words})") if words else said == ""

@@ -24,7 +24,7 @@ from jaxfit.errors import InputError, ModelError
 from jaxfit.evaluation.calibration import auroc, calibration_error
 from jaxfit.learning import confidence as trusting
 from jaxfit.learning.confidence import SampledFits, learn_confidence, sample_fits
-from jaxfit.learning.draw_starts import DETECTED, ELSEWHERE, LOST, NO_FACES, PART, PATTERN, start_box
+from jaxfit.learning.draw_starts import DETECTED, ELSEWHERE, LOST, NO_FACES, PART, PATTERN, box_of_start
 from jaxfit.schemes.known import AFLW21
 
 SQUARE = np.array([60.0, 50, 80, 80])
@@ -133,8 +133,8 @@ def test_platt_scaling_undoes_a_wrong_scale() -> None:
 
 def test_boxes_are_what_they_are_called() -> None:
     rng = np.random.default_rng(0)
-    boxes = {start: [start_box(start, SQUARE, PICTURE, rng) for _ in range(300)] for start in (DETECTED, LOST, PART)}
-    far = [start_box(ELSEWHERE, SQUARE, PICTURE, rng) for _ in range(300)]
+    boxes = {start: [box_of_start(start, SQUARE, PICTURE, rng) for _ in range(300)] for start in (DETECTED, LOST, PART)}
+    far = [box_of_start(ELSEWHERE, SQUARE, PICTURE, rng) for _ in range(300)]
     assert all(overlap(box, SQUARE) < 0.15 for box in far)
     centres = np.stack([box[:2] + box[2:] / 2 for box in far])
     assert ((centres >= 0) & (centres <= PICTURE[::-1])).all()
@@ -147,7 +147,7 @@ def test_boxes_are_what_they_are_called() -> None:
     assert 0.45 < np.abs(offsets).max() <= 0.5
     spread = np.array([box[:2] + box[2:] / 2 - [100, 90] for box in boxes[DETECTED]]).std() / 80
     assert 0.06 < spread < 0.15
-    assert start_box(ELSEWHERE, np.array([-20.0, -20, 60, 60]), (20, 20), rng) is None
+    assert box_of_start(ELSEWHERE, np.array([-20.0, -20, 60, 60]), (20, 20), rng) is None
 
 
 def overlap(a: np.ndarray, b: np.ndarray) -> float:

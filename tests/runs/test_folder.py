@@ -293,7 +293,7 @@ def test_a_stopped_run_goes_on_where_it_was(
     with pytest.raises(InputError, match="pictures: 12 there, 11 here"):
         fit_folder(run, pictures[1:])
     calls: list[tuple[str, int, int]] = []
-    report = fit_folder(run, pictures, lambda *call: calls.append(call))
+    report = fit_folder(run, pictures, progress=lambda *call: calls.append(call))
     assert (report.pictures, report.resumed, report.faces) == (12, 8, 10)
     assert report.problems == whole[0].problems
     # Of all pictures, those that were done before among them.

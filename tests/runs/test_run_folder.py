@@ -77,7 +77,7 @@ def test_chunks_without_their_settings_are_nobodys(out: Path, pictures: list[Pat
     (out / ".unfinished" / "settings.json").unlink()
     again = begin(out, pictures, {"model": "b"})
     assert not any(again.has(number) for number in range(2))
-    with pytest.raises(InputError, match=r'model: b there, a here\).*overwrite \(--overwrite\) to begin anew'):
+    with pytest.raises(InputError, match=r"model: b there, a here\).*overwrite \(--overwrite\) to begin anew"):
         begin(out, pictures)
 
 

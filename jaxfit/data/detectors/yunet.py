@@ -125,12 +125,12 @@ class YuNet:
         return merged(faces, _SAME)
 
     def _faces_in(self, bgr: np.ndarray) -> list[Detection]:
-        faces = self._seen_at(bgr, _QUICK)
+        faces = self._faces_at(bgr, _QUICK)
         if any(face.score >= _SURE for face in faces):
             return faces
-        return merged([*faces, *self._seen_at(bgr, _CLEAR)], _SAME)
+        return merged([*faces, *self._faces_at(bgr, _CLEAR)], _SAME)
 
-    def _seen_at(self, bgr: np.ndarray, width: float) -> list[Detection]:
+    def _faces_at(self, bgr: np.ndarray, width: float) -> list[Detection]:
         """The faces in a picture that is looked at so that the smallest face has this width for the network."""
         sure, doubtful = self._split(self._finds(bgr, width))
         finds = merged([*sure, *doubtful[:_MOST_SMALL]], _SAME)
@@ -209,10 +209,10 @@ class YuNet:
         whether it is upright there, in the middle and of the expected size, so that its box is to be trusted."""
         crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), frame, math.radians(degrees))
         finds = self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2)))
-        seen = [each for each in finds if _in_the_middle(each.box, frame)]
-        if not seen:
+        inside = [each for each in finds if _in_the_middle(each.box, frame)]
+        if not inside:
             return replace(face, rotation=degrees, score=0.0), True
-        best = max(seen, key=lambda each: each.score)
+        best = max(inside, key=lambda each: each.score)
         middle, sides = to_image(box_centre(best.box), *crop[1:]), best.box[2:] * crop.scale
         box = np.concatenate([middle - sides / 2, sides])
         rotation = (degrees + best.rotation + 180) % 360 - 180
