@@ -65,7 +65,7 @@ def run_command(options: argparse.Namespace) -> int:
     require_own_folder(options.out, _RUN)
     folder = out_folder(options.out)
     begin = time.monotonic()
-    with Bars() as bars:
+    with Bars(announced=False) as bars:
         progress = _TaskProgress(bars)
         run_experiment(config, folder, progress=progress.within, begun=progress.begun)
     results = read_results(folder)
@@ -80,7 +80,8 @@ def run_command(options: argparse.Namespace) -> int:
 
 
 class _TaskProgress:
-    """On a terminal, bars that name the task and say how long the rest takes; in logs a line a task."""
+    """On a terminal, bars that name the task and say how long the rest takes; in logs a line a task, and
+    lines now and then in long ones."""
 
     def __init__(self, bars: Bars) -> None:
         self._bars = bars
@@ -97,8 +98,7 @@ class _TaskProgress:
 
     def within(self, stage: str, done: int, total: int) -> None:
         """So much of a stage of the task is done."""
-        if sys.stderr.isatty():
-            self._bars(f"{self._task}, {stage}", done, total)
+        self._bars(f"{self._task}, {stage}", done, total)
 
 
 def _dry_run(experiment: Experiment) -> int:

@@ -1,6 +1,7 @@
-"""Progress on the terminal: a bar where someone is looking, one line a stage in logs."""
+"""Progress on the terminal: a bar where someone is looking, lines now and then in logs."""
 
 import sys
+import time
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
@@ -8,6 +9,9 @@ from typing import Any
 from tqdm import tqdm
 
 from jaxfit.data.names import plain, printable
+
+_PAUSE = 10.0  # seconds between the lines of a log; in long stages more,
+_SHARE = 0.05  # this share of the time so far, so that a night does not fill a log
 
 
 def say(text: str, **options: Any) -> None:
@@ -17,11 +21,14 @@ def say(text: str, **options: Any) -> None:
 
 
 class Bars:
-    """A progress callback ``(stage, done, total)`` that shows one bar a stage on standard error."""
+    """A progress callback ``(stage, done, total)`` that shows one bar a stage on standard error; in logs a line where a
+    stage begins, unless that is not ``announced``, and then lines that say how far it is."""
 
-    def __init__(self) -> None:
+    def __init__(self, announced: bool = True) -> None:
+        self._announced = announced
         self._stage = ""
         self._bar: Any = None
+        self._done_before, self._begun, self._next_line = 0, 0.0, time.monotonic() + _PAUSE
 
     def __enter__(self) -> "Bars":
         return self
@@ -35,14 +42,23 @@ class Bars:
         """Show that ``done`` of ``total`` are done."""
         if stage != self._stage:
             self._close()
-            self._stage = stage
+            self._stage, self._done_before, self._begun = stage, done, time.monotonic()
             if sys.stderr.isatty():
                 self._bar = tqdm(total=total, desc=stage, dynamic_ncols=True, leave=False)
-            else:
-                say(f"{stage} …", file=sys.stderr, flush=True)
+            elif self._announced:
+                self._line(f"{stage} …")
         if self._bar is not None:
             self._bar.total = total
             self._bar.update(done - self._bar.n)
+        elif time.monotonic() >= self._next_line:
+            rate = (done - self._done_before) / (time.monotonic() - self._begun or 1.0)
+            self._line(f"{stage}: {done:,} of {total:,}, {rate:,.1f}/s")
+
+    def _line(self, text: str) -> None:
+        """Print a line of a log."""
+        say(text, file=sys.stderr, flush=True)
+        now = time.monotonic()
+        self._next_line = now + max(_PAUSE, _SHARE * (now - self._begun))
 
     def _close(self) -> None:
         if self._bar is not None:
