@@ -2,6 +2,7 @@
 
 import heapq
 from pathlib import Path
+from unicodedata import combining, normalize
 
 import cv2
 import numpy as np
@@ -63,8 +64,14 @@ def _square(row: Row, scheme: Scheme) -> np.ndarray:
         cut, {name: value for name, value in placed.items() if name != "landmarks_3d"}, scheme, boxed=False
     )
     confidence = [f"{row['confidence']:.2f}"] if "confidence" in row else []
-    _write(drawn, " ".join([row["face"][-_LETTERS:], *confidence]), row["ok"])
+    _write(drawn, " ".join([_in_ascii(row["face"])[-_LETTERS:], *confidence]), row["ok"])
     return drawn
+
+
+def _in_ascii(text: str) -> str:
+    """Letters without their accents, and ``?`` for what has no such form: OpenCV's font has ASCII only."""
+    letters = (letter for letter in normalize("NFKD", text) if not combining(letter))
+    return "".join(letters).encode("ascii", "replace").decode()
 
 
 def _write(square: np.ndarray, text: str, ok: bool) -> None:

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+from jaxfit.data.contact_sheet import _in_ascii
 from jaxfit.data.overlays import draw_head, draw_landmarks, draw_name
 from jaxfit.errors import ImageError, InputError
 from jaxfit.schemes.known import AFLW21, IBUG68
@@ -247,3 +248,11 @@ def test_overlays_are_drawn_over_any_picture_and_nothing_else():
         np.testing.assert_array_equal(draw_landmarks(same, np.full((DOTS.count, 2), 9.0), DOTS), drawn)
     with pytest.raises(ImageError, match="white is 1"):
         draw_landmarks(black() / 255, np.full((DOTS.count, 2), 9.0), DOTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [("Zoë_1", "Zoe_1"), ("Zoe\u0308", "Zoe"), ("Łódź", "?odz"), ("写真 1", "?? 1"), ("a-1_2", "a-1_2")],
+)
+def test_contact_sheets_show_names_in_the_letters_that_their_font_has(name: str, shown: str) -> None:
+    assert _in_ascii(name) == shown
