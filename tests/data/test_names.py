@@ -17,6 +17,9 @@ linux = pytest.mark.skipif(sys.platform != "linux", reason="names of files are n
 def test_names_of_results_are_unique_and_good_names_of_files() -> None:
     paths = [Path(name) for name in ("a/x.png", "b/x.png", "x-2.png", "c/x.jpg", "d/x-2.png", "y.png", "e/X.png")]
     assert list(unique_names(paths)) == ["x", "x-2", "x-2-2", "x-3", "x-2-3", "y", "X-4"]
+    several = list(unique_names(map(Path, ["a.png", "a_1.png", "A.jpg", "a-2.png", "a-2_1.png"])))
+    faces = [f"{name}_{number}".casefold() for name in several for number in range(1, 20)]
+    assert len({*faces}) == len(faces)
     odd = ["-rf.png", "=1+1.png", 'a\nb"?.png', "c:\\d.png", os.fsdecode(b"\xe9.png"), "né 日.png"]
     assert list(unique_names(map(Path, odd))) == ["_-rf", "_=1+1", "a_b__", "c__d", "_", "né 日"]
     (first, second) = unique_names([Path("日" * 84 + ".png"), Path("日" * 84 + "!.png")])
