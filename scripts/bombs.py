@@ -55,6 +55,7 @@ except JaxfitError as error:
 print(outcome, time.perf_counter() - begun, memory("VmHWM") - before)
 """
 _COSTS = {"file": "", "kB": ",.0f", "megapixels": ".0f", "outcome": "", "seconds": ".1f", "MiB": ",.0f"}
+_NOISE = "noise."
 _DELAYS = (0.5, 2.0, 5.0, 9.0)  # seconds after which Ctrl-C is pressed
 _LATEST = 2.0  # seconds until it has to be heard
 _MOST_SECONDS, _MOST_MIB = 30.0, 3072.0  # of a picture
@@ -72,21 +73,34 @@ def main() -> int:
 def run(options: argparse.Namespace, report: Report) -> int:
     with ExitStack() as stack:
         folder = Path(options.folder or stack.enter_context(tempfile.TemporaryDirectory()))
-        over = [PARTS[name](report, folder, options.only) for name in options.parts]
+        over = []
+        for name in options.parts:
+            report.begin(name)
+            over.append(PARTS[name](report, folder, options.only))
     if options.pictures:
+        report.begin("real")
         report.add(_refused(options.pictures))
     return int(any(over))
 
 
 def pictures(report: Report, folder: Path, only: Sequence[str]) -> bool:
-    """What each picture costs; whether one is over the budget."""
-    rows = [_cost(path, _PICTURE, PICTURES[path.name][0]) for path in _bombs(folder, only)]
+    """What each black picture costs; whether one is over the budget."""
+    return _pictures(report, folder, [name for name in only if not name.startswith(_NOISE)], "Black pictures")
+
+
+def noise(report: Report, folder: Path, only: Sequence[str]) -> bool:
+    """What each picture of noise costs; whether one is over the budget."""
+    return _pictures(report, folder, [name for name in only if name.startswith(_NOISE)], "Noise")
+
+
+def _pictures(report: Report, folder: Path, names: Sequence[str], what: str) -> bool:
+    rows = [_cost(path, _PICTURE, PICTURES[path.name][0]) for path in _bombs(folder, names)]
     report.table(
         rows,
         _COSTS,
-        f"Black pictures, and noise, of nearly as many pixels as are allowed ({DEFAULT_MEGAPIXELS:g} megapixels, fewer "
-        "in some formats), of as many scans, or of as many bytes; read by `read_image`, each in a process of its own. "
-        f"The budget is {_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} MiB each.",
+        f"{what} of nearly as many pixels as are allowed ({DEFAULT_MEGAPIXELS:g} megapixels, fewer in some formats), "
+        "of as many scans, or of as many bytes; read by `read_image`, each in a process of its own. The budget is "
+        f"{_MOST_SECONDS:g} seconds and {_MOST_MIB:,.0f} MiB each.",
     )
     return any(row["seconds"] > _MOST_SECONDS or row["MiB"] > _MOST_MIB for row in rows)
 
@@ -138,7 +152,7 @@ def stopped(report: Report, folder: Path, only: Sequence[str]) -> bool:
     return max(late) > _LATEST
 
 
-PARTS = {"pictures": pictures, "others": others, "whole": whole, "stopped": stopped}
+PARTS = {"pictures": pictures, "noise": noise, "others": others, "whole": whole, "stopped": stopped}
 
 
 def _cost(path: Path, read: str, side: int = 0) -> dict[str, Any]:

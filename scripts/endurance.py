@@ -48,7 +48,11 @@ def main() -> int:
 def run(options: argparse.Namespace, report: Report) -> int:
     with tempfile.TemporaryDirectory() as name:
         runs = _Runs(Path(name), options.count, random.Random(options.seed))
-        return int(not all([PARTS[part](report, runs, options) for part in options.parts]))
+        good = []
+        for part in options.parts:
+            report.begin(part)
+            good.append(PARTS[part](report, runs, options))
+        return int(not all(good))
 
 
 class _Runs:

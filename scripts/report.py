@@ -1,7 +1,8 @@
 """The report of a measuring script: Markdown that is printed as it comes, and a page with the command and the machine.
 
 Scripts with one result write it with ``--report FILE.md``: figures replace what stands between two marks of the page,
-so that the prose around them stays. Scripts that write a folder have ``--out DIR`` instead, with a page in it.
+so that the prose around them stays; parts that are measured one by one have marks of their own. Scripts that write a
+folder have ``--out DIR`` instead, with a page in it.
 """
 
 import argparse
@@ -29,7 +30,7 @@ from jaxfit.labels.records import Dataset
 # The columns of a table of errors, whose rows `error_row` makes.
 ERROR_COLUMNS = {"median NMED": ".4f", "AUC": ".3f", "failures, %": ".1f"}
 
-_BEGIN, _END = "<!-- figures -->\n", "<!-- end of figures -->\n"
+_END = "<!-- end of figures -->\n"
 
 
 class Report:
@@ -37,12 +38,17 @@ class Report:
 
     Attributes:
         title: of a page that is new, or in a folder of results.
-        parts: what was added so far.
+        parts: what was added so far, of this section.
     """
 
     def __init__(self) -> None:
         self.title = ""
         self.parts: list[str] = []
+        self._sections = {"": self.parts}
+
+    def begin(self, name: str) -> None:
+        """Begin a section: what is added from here on stands between its own marks, ``<!-- figures: NAME -->``."""
+        self.parts = self._sections.setdefault(name, [])
 
     def add(self, *parts: str) -> None:
         """Print and keep paragraphs, tables or headings."""
@@ -57,13 +63,19 @@ class Report:
     def write(self, page: Path, whole: bool) -> None:
         """Write the page: ``whole``, or what stands between its marks."""
         title = f"# {self.title}\n\n" if self.title else ""
-        figures = "\n\n".join([f"```\n{command()}\n```", made_with(), *self.parts]) + "\n"
+        figures = {
+            name: "\n\n".join([f"```\n{command()}\n```", made_with(), *parts]) + "\n"
+            for name, parts in self._sections.items()
+            if parts
+        }
         if whole:
-            text = title + figures
+            text = title + "\n".join(figures.values())
         else:
-            old = page.read_text(encoding="utf-8") if page.exists() else title + _BEGIN + _END
-            before, _, rest = old.partition(_BEGIN)
-            text = before + _BEGIN + figures + _END + rest.partition(_END)[2]
+            text = page.read_text(encoding="utf-8") if page.exists() else title
+            for name, of_section in figures.items():
+                begin = f"<!-- figures: {name} -->\n" if name else "<!-- figures -->\n"
+                before, _, rest = text.partition(begin)
+                text = before + begin + of_section + _END + rest.partition(_END)[2]
         with atomic_write(page, "w") as file:
             file.write(text)
 

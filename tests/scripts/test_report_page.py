@@ -65,6 +65,23 @@ def test_figures_are_put_between_the_marks(measure: Callable[..., int], report: 
     assert [path.name for path in tmp_path.iterdir()] == ["a page.md"]
 
 
+def test_each_section_is_put_between_marks_of_its_own(report: Any, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    for _ in range(2):
+        for name in ("one", "two"):  # run by run
+            found = report.Report()
+            found.begin(name)
+            found.add(f"Of {name}.")
+            found.write(page, whole=False)
+    text = page.read_text()
+    parts = [part.partition(END)[0] for part in text.split("<!-- figures: ")[1:]]
+    assert [part.splitlines()[0] for part in parts] == ["one -->", "two -->"]
+    assert [part.splitlines()[-1] for part in parts] == ["Of one.", "Of two."]
+    page.write_text(text.replace("Of one.", "Of old.").replace(END, f"{END}Words.\n"))
+    found.write(page, whole=False)
+    assert page.read_text() == text.replace("Of one.", "Of old.").replace(END, f"{END}Words.\n")
+
+
 def test_a_folder_of_results_has_a_page_of_its_own(measure: Callable[..., int], tmp_path: Path) -> None:
     out = tmp_path / "results"
     for _ in range(2):
