@@ -20,7 +20,11 @@ _DAMAGE = re.compile(rb"premature end|Premature end|bad Huffman|bad arithmetic|i
 def _in_memory() -> IO[bytes]:
     """A file that is on no disk, where the system has such files."""
     if hasattr(os, "memfd_create"):
-        return os.fdopen(os.memfd_create("jaxfit"), "w+b", buffering=0)
+        import fcntl
+
+        file = os.memfd_create("jaxfit")
+        fcntl.fcntl(file, fcntl.F_SETFL, os.O_APPEND)  # else what two threads print at once lies over each other
+        return os.fdopen(file, "w+b", buffering=0)
     return tempfile.TemporaryFile(buffering=0)
 
 

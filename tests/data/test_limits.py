@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxfit.data import limits
+from jaxfit.data import damage, limits
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels, counted_together, most_megapixels
 from jaxfit.data.pictures import decode_image, find_images, read_grey, read_image
 from jaxfit.data.sizes import decoded_size, scans_of
@@ -223,6 +223,14 @@ def test_bytes_too_many_are_no_damage(capfd: pytest.CaptureFixture[str]) -> None
     padded = data[:-2] + bytes(9) + data[-2:]
     np.testing.assert_array_equal(decode_image(padded), decode_image(data))
     assert capfd.readouterr().err == ""
+
+
+def test_what_threads_print_at_once_does_not_lie_over_each_other() -> None:
+    with damage._in_memory() as file, ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda number: [os.write(file.fileno(), b"%08d" % number) for _ in range(2000)], range(4)))
+        file.seek(0)
+        said = file.read()
+    assert all(said.count(b"%08d" % number) == 2000 for number in range(4))
 
 
 def test_damage_is_told_of_its_picture_alone(capfd: pytest.CaptureFixture[str]) -> None:
