@@ -40,7 +40,7 @@ class _Parser(argparse.ArgumentParser):
         a command is missing, list the commands."""
         missing = message.partition("the following arguments are required: ")[2].split(", ")
         lost = [name for name in missing if name and not name.startswith("-")]
-        if lost and self._subparsers is not None:
+        if not self._words and self._subparsers is not None:
             self.print_help(sys.stderr)
             self.exit(2)
         several = (action for action in self._actions if action.nargs in ("+", "*", "?"))
