@@ -8,19 +8,21 @@ from typing import Any
 import numpy as np
 
 from jaxfit.data.names import table_path, table_word
+from jaxfit.schemes.openness import openings_of
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
-# A face as plain JSON values: image, face, size, box, ok, landmarks; confidence, if the model has one; and pose, scale,
-# landmarks_3d and b of 3D models. Lengths are in pixels of the picture. Rows of labels, which only writers of
-# annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and subject may be
-# there.
+# A face as plain JSON values: image, face, size, box, ok, landmarks; openness, by what opens, of schemes with lids and
+# lips; confidence, if the model has one; and pose, scale, landmarks_3d and b of 3D models. Lengths are in pixels of the
+# picture. Rows of labels, which only writers of annotations take, may lack size and box; points may be [None, None];
+# hidden (a flag a point), pixel and subject may be there.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
 TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of numbers
 HEAD = "head_"  # before the columns of heads, in tables that have both
 _BOX = ("x", "y", "width", "height", "rotation")
+_OPENNESS = "_openness"  # behind what opens, in the names of columns
 PIXEL = "pixel"  # the key of the length of a pixel in units, in rows of labels
 FLAGS = ("ok",)  # columns of yes and no
 _DIGITS = 3  # after the point
@@ -65,7 +67,8 @@ def rounded(values: np.ndarray | np.floating) -> Any:
 def landmark_columns(scheme: Scheme, confident: bool) -> tuple[str, ...]:
     """The columns of ``landmarks.csv``."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xy"]
-    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points)
+    opened = (f"{opening.name}{_OPENNESS}" for opening in openings_of(scheme))
+    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points, *opened)
 
 
 def head_columns(scheme: Scheme, modes: int) -> tuple[str, ...]:
@@ -91,6 +94,7 @@ def flat_row(row: Row) -> dict[str, Any]:
         flat["confidence"] = row["confidence"]
     for number, (x, y) in enumerate(row.get("landmarks", ()), 1):
         flat[f"x{number}"], flat[f"y{number}"] = x, y
+    flat |= {f"{name}{_OPENNESS}": value for name, value in row.get("openness", {}).items()}
     if "pose" in row:
         flat |= {f"{HEAD}{angle}": degrees for angle, degrees in row["pose"].items()}
         flat[f"{HEAD}scale"] = row["scale"]
@@ -111,9 +115,8 @@ def table_values(name: str, row: Row) -> list[str | float | bool]:
     if name == "landmarks":
         box = row["box"]
         confidence = [row["confidence"]] if "confidence" in row else []
-        return [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence] + list(
-            chain.from_iterable(row["landmarks"])
-        )
+        values = [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence]
+        return [*values, *chain.from_iterable(row["landmarks"]), *row.get("openness", {}).values()]
     points = chain.from_iterable(row["landmarks_3d"])
     return [row["image"], row["face"], row["ok"], *row["pose"].values(), row["scale"], *points, *row["b"]]
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxfit.data.rows import PROBLEM, Row, Rows, columns_of, flat_row, rounded
 from jaxfit.errors import InputError
+from jaxfit.schemes.openness import openings_of, openness
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
@@ -89,6 +90,13 @@ class Fits:
     def ok(self) -> np.ndarray:
         """(N,) bool: which faces were fitted, and rather well than not if the model has a confidence in its fits."""
         return self.fitted if self.confidence is None else self.fitted & (self.confidence >= _OK)
+
+    @property
+    def openness(self) -> dict[str, np.ndarray]:
+        """How far the left and the right eye of the picture and the mouth are open, (N,) each, by these names: see
+        `jaxfit.schemes.openness`; nothing of schemes without lids and lips."""
+        names = [opening.name for opening in openings_of(self.scheme)]
+        return dict(zip(names, openness(self.landmarks, self.scheme).T, strict=True))
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -232,6 +240,9 @@ class Fits:
         if problem is not None:
             return entry | {PROBLEM: problem}
         entry["landmarks"] = rounded(self.landmarks[row])
+        if openings := openings_of(self.scheme):
+            values = rounded(openness(self.landmarks[row], self.scheme))
+            entry["openness"] = dict(zip((opening.name for opening in openings), values, strict=True))
         if self.confidence is not None:
             entry["confidence"] = rounded(self.confidence[row])
         if self.pose is not None and self.scale is not None and self.landmarks_3d is not None and self.b is not None:
