@@ -3,7 +3,7 @@
 >>> model = jaxfit.load("face68")
 >>> fits = jaxfit.fit(model, images)
 >>> fits.landmarks  # (N, 68, 2), in the pixels of each image
->>> heads = jaxfit.fit(jaxfit.load("face68-3d"), images)
+>>> heads = jaxfit.fit(jaxfit.with_heads(model), images)
 >>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
 
 What most people need is here; the rest lies in namespaces: ``jaxfit.cascade`` (the jitted functions inside),
@@ -25,6 +25,7 @@ from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_im
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
 from jaxfit.fitting import Fits, Fitting, crop_faces, export, fit, fuse, refine, track, warm_up
+from jaxfit.heads import with_heads
 from jaxfit.labels import read_dataset
 from jaxfit.learning import Options, finetune, train
 from jaxfit.models import Model, bundled, load, save
@@ -73,4 +74,5 @@ __all__ = [
     "track",
     "train",
     "warm_up",
+    "with_heads",
 ]

@@ -187,6 +187,15 @@ def given_fitting(arguments: argparse.Namespace) -> Fitting:
     return Fitting(arguments.detector, given_search(arguments), given_starts(arguments))
 
 
+def add_heads(command: argparse.ArgumentParser) -> None:
+    """``--heads``."""
+    command.add_argument(
+        "--heads",
+        action="store_true",
+        help="also find the heads with a 2D model: a 3D head model is aligned to its landmarks, which stay the same",
+    )
+
+
 def add_refine(command: argparse.ArgumentParser) -> None:
     """``--refine``."""
     command.add_argument(

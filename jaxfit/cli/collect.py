@@ -4,6 +4,7 @@ import argparse
 
 from jaxfit.cli.arguments import (
     add_detector,
+    add_heads,
     add_pictures,
     add_refine,
     add_starts,
@@ -30,6 +31,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_pictures(command)
     add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
+    add_heads(command)
     add_refine(command)
     add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
@@ -42,7 +44,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
     fitter = BatchFitter(
-        options.model, given_fitting(options), options.refine, options.cores, options.max_megapixels, options.unshift
+        options.model,
+        given_fitting(options),
+        options.refine,
+        options.cores,
+        options.max_megapixels,
+        options.unshift,
+        options.heads,
     )
     if options.unshift:
         warn(given_unshift(options, load(options.model)))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
+from jaxfit.cli.arguments import add_detector, add_heads, add_unshift, given_search, given_unshift
 from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
@@ -20,6 +20,7 @@ from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.one_euro import OneEuro
 from jaxfit.fitting.pipeline import usual_detector
 from jaxfit.fitting.track import TrackedFrame, track
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.shapes.camera import ANGLES
@@ -47,6 +48,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves")
     add_unshift(command)
+    add_heads(command)
     command.add_argument("--overlay", action="store_true", help=f"write {_OVERLAY}, which has no sound")
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.set_defaults(run=run)
@@ -57,6 +59,7 @@ def run(options: argparse.Namespace) -> int:
     model = load(options.model)
     warn(given_unshift(options, model))
     model = model.unshifted() if options.unshift else model
+    model = ensure_heads(model) if options.heads else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()
     with Video(int(source) if camera else source) as video:

@@ -38,6 +38,7 @@ from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files
@@ -72,6 +73,7 @@ class FolderRun:
         folders: that the pictures were found in.
         box_kind: what drew those boxes; None takes what the file's column box says, and squares where it says nothing.
         unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
+        heads: find heads with 2D models, as ``jaxfit.with_heads`` does.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
         overlays: write pictures with the faces drawn over them.
@@ -89,6 +91,7 @@ class FolderRun:
     folders: tuple[str | Path, ...] = ()
     box_kind: str | None = None
     unshift: bool = False
+    heads: bool = False
     refine: bool = False
     formats: tuple[str, ...] = DEFAULT_FORMATS
     overlays: bool = True
@@ -114,6 +117,7 @@ class FolderRun:
             "box_kind": self.box_kind,
             "folders": list(map(str, self.folders if self.boxes else ())),
             "unshift": self.unshift,
+            "heads": self.heads,
             "refine": self.refine,
             "overlays": self.overlays,
             "max_megapixels": most_megapixels(),
@@ -184,6 +188,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], progress: Progres
     """
     model = load(run.model)
     model = model.unshifted() if run.unshift else model
+    model = ensure_heads(model) if run.heads else model
     pipeline, named = _pipeline(run, model)
     with held(run.out, _COMMAND):
         return _fit_held(run, pipeline, named, each_once(pictures), progress)
