@@ -21,10 +21,10 @@ require_importable_jax()
 # ruff: noqa: E402 - what imports JAX comes after it
 from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
 from jaxfit.cascade import Greedy, Starts, Tuning
-from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_image
+from jaxfit.data import FieldOfView, PinholeCamera, Search, detect_faces, draw_head, draw_landmarks, read_image
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
-from jaxfit.fitting import Fits, Fitting, crop_faces, export, fit, fuse, refine, track, warm_up
+from jaxfit.fitting import Fits, Fitting, Placing, crop_faces, export, fit, fuse, place_heads, refine, track, warm_up
 from jaxfit.heads import with_heads
 from jaxfit.labels import read_dataset
 from jaxfit.learning import Options, finetune, train
@@ -33,6 +33,7 @@ from jaxfit.runs import FolderRun, fit_folder
 
 __all__ = [
     "Evaluation",
+    "FieldOfView",
     "Fits",
     "Fitting",
     "FolderRun",
@@ -41,6 +42,8 @@ __all__ = [
     "JaxfitError",
     "Model",
     "Options",
+    "PinholeCamera",
+    "Placing",
     "Search",
     "Starts",
     "Tuning",
@@ -65,6 +68,7 @@ __all__ = [
     "learning",
     "load",
     "models",
+    "place_heads",
     "read_dataset",
     "read_image",
     "refine",

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import (
     add_boxes,
+    add_camera,
     add_detector,
     add_heads,
     add_pictures,
@@ -12,6 +13,7 @@ from jaxfit.cli.arguments import (
     add_starts,
     add_unshift,
     given_fitting,
+    given_placing,
     given_unshift,
     untrained_starts,
     unused_rows,
@@ -37,6 +39,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_heads(command)
     add_refine(command)
+    add_camera(command)
     add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument(
@@ -80,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
         unshift=options.unshift,
         heads=options.heads,
         refine=options.refine,
+        placing=given_placing(options),
         formats=tuple(options.format),
         overlays=not options.no_overlays,
         contact_sheet=options.contact_sheet,
