@@ -3,7 +3,7 @@
 >>> model = jaxfit.load("face68")
 >>> fits = jaxfit.fit(model, images)
 >>> fits.landmarks  # (N, 68, 2), in the pixels of each image
->>> heads = jaxfit.fit(jaxfit.load("face68-3d"), images)
+>>> heads = jaxfit.fit(jaxfit.with_heads(model), images)
 >>> heads.pose  # (N, 3): roll, pitch and yaw in degrees
 
 What most people need is here; the rest lies in namespaces: ``jaxfit.cascade`` (the jitted functions inside),
@@ -21,10 +21,11 @@ require_importable_jax()
 # ruff: noqa: E402 - what imports JAX comes after it
 from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
 from jaxfit.cascade import Greedy, Starts, Tuning
-from jaxfit.data import Search, detect_faces, draw_head, draw_landmarks, read_image
+from jaxfit.data import FieldOfView, PinholeCamera, Search, detect_faces, draw_head, draw_landmarks, read_image
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
-from jaxfit.fitting import Fits, Fitting, crop_faces, export, fit, fuse, refine, track, warm_up
+from jaxfit.fitting import Fits, Fitting, Placing, crop_faces, export, fit, fuse, place_heads, refine, track, warm_up
+from jaxfit.heads import with_heads
 from jaxfit.labels import read_dataset
 from jaxfit.learning import Options, finetune, train
 from jaxfit.models import Model, bundled, load, save
@@ -32,6 +33,7 @@ from jaxfit.runs import FolderRun, fit_folder
 
 __all__ = [
     "Evaluation",
+    "FieldOfView",
     "Fits",
     "Fitting",
     "FolderRun",
@@ -40,6 +42,8 @@ __all__ = [
     "JaxfitError",
     "Model",
     "Options",
+    "PinholeCamera",
+    "Placing",
     "Search",
     "Starts",
     "Tuning",
@@ -64,6 +68,7 @@ __all__ = [
     "learning",
     "load",
     "models",
+    "place_heads",
     "read_dataset",
     "read_image",
     "refine",
@@ -73,4 +78,5 @@ __all__ = [
     "track",
     "train",
     "warm_up",
+    "with_heads",
 ]

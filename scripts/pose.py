@@ -1,4 +1,4 @@
-"""Head pose of 3D models: errors, tables by true pitch and yaw, surfaces, and error against that of the landmarks.
+"""Head pose of models: errors, tables by true pitch and yaw, surfaces, and error against that of the landmarks.
 
 Fits start from the labels' squares, or, in datasets without landmarks, from the dataset's own boxes. How faces lie in
 those is measured on frontal pictures of all other subjects than the one that is tested.
@@ -32,6 +32,7 @@ from jaxfit.evaluation.pose import (
     pose_rows,
 )
 from jaxfit.evaluation.tables import COMPARISON_COLUMNS, markdown_table
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import Dataset
 from jaxfit.learning.placements import evaluate_pose
@@ -44,7 +45,9 @@ GROUPS = 8  # of faces by landmark error
 
 def main() -> int:
     parser = script_parser(__doc__, out="tables and figures")
-    parser.add_argument("models", nargs="+", metavar="NAME=MODEL", help="3D models, compared with one another")
+    parser.add_argument(
+        "models", nargs="+", metavar="NAME=MODEL", help="models, compared with one another; 2D ones with heads"
+    )
     add_datasets(parser)
     return measure(run, parser.parse_args())
 
@@ -67,11 +70,9 @@ def named_models(texts: Sequence[str]) -> dict[str, Model]:
     models: dict[str, Model] = {}
     for text in texts:
         name, _, path = text.rpartition("=")
-        name, model = name or Path(path).stem, jaxfit.load(path)
+        name, model = name or Path(path).stem, ensure_heads(jaxfit.load(path))
         if name in models or "/" in name:
             raise InputError(f"expected models under names of their own, NAME=MODEL; got {' '.join(texts)}")
-        if model.space_3d is None:
-            raise InputError(f"{path}: expected a model of a 3D method; this one knows no pose")
         models[name] = model
     return models
 

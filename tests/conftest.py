@@ -30,7 +30,16 @@ SLOW_FILES = {
     *("test_contributing", "test_modes", "test_notebooks", "test_packages", "test_readme", "test_site"),
     *("test_cascade", "test_confidence", "test_greedy", "test_regression", "test_tuning"),
     *("test_devices", "test_export", "test_find", "test_fit", "test_stream", "test_track", "test_unshift"),
-    *("test_alignment", "test_camera_asm", "test_dense", "test_disturb", "test_sift_laws"),
+    *(
+        "test_alignment",
+        "test_camera_asm",
+        "test_head_pose",
+        "test_with_heads",
+        "test_place",
+        "test_dense",
+        "test_disturb",
+        "test_sift_laws",
+    ),
     *("test_bundled_3d", "test_parametric68", "test_conversions", "test_lifting"),
     *("test_datasets", "test_detectors", "test_evaluate", "test_plots", "test_turned"),
 }

@@ -242,6 +242,8 @@ def _heads(cascade: Cascade, aligned: ShapeSpace3D | None, states: State) -> Hea
         regressed = space.turned(state.params, state.angle)
         return heads_of(space_3d, landmarks, regressed if aligned is None else aligned.encode(landmarks))
 
+    if aligned is not None and aligned.steady:
+        return vmap(head)(states)
     # Alignments take rounds until they converge: side by side, all would take as many as the slowest.
     return lax.map(head, states, batch_size=_ALIGNED_AT_ONCE)
 

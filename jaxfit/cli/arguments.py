@@ -9,6 +9,7 @@ from typing import Any
 
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
+from jaxfit.data.cameras import Camera, FieldOfView, PinholeCamera
 from jaxfit.data.detectors import Search, box_kinds, detector_specs
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, MOST_SLOW_BYTES
 from jaxfit.data.numbers import whole_number
@@ -18,6 +19,7 @@ from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
 from jaxfit.fitting.pipeline import Fitting
+from jaxfit.fitting.place import PUPIL_DISTANCE, Placing
 from jaxfit.image.frame import Frame
 from jaxfit.labels.datasets import FORMATS
 from jaxfit.learning.methods import Options, default_descriptor
@@ -189,6 +191,57 @@ def given_fitting(arguments: argparse.Namespace) -> Fitting:
         InputError: a number out of range.
     """
     return Fitting(arguments.detector, given_search(arguments), given_starts(arguments))
+
+
+def add_heads(command: argparse.ArgumentParser) -> None:
+    """``--heads``."""
+    command.add_argument(
+        "--heads",
+        action="store_true",
+        help="also find the heads with a 2D model: a 3D head model is aligned to its landmarks, which stay the same",
+    )
+
+
+def add_camera(command: argparse.ArgumentParser) -> None:
+    """``--camera FX FY CX CY``, ``--field-of-view DEGREES`` and ``--pupil-distance MM``."""
+    command.add_argument(
+        "--camera",
+        type=float,
+        nargs=4,
+        metavar=("FX", "FY", "CX", "CY"),
+        help="focal lengths and middle of the camera, in pixels: also say how heads are turned before it, and where "
+        "they are, in millimetres; finds heads with 2D models, too",
+    )
+    command.add_argument(
+        "--field-of-view",
+        type=float,
+        metavar="DEGREES",
+        help="instead of --camera: the angle that the width of the picture takes in",
+    )
+    command.add_argument(
+        "--pupil-distance",
+        type=float,
+        metavar="MM",
+        help=f"how far apart people's pupils are, by which heads are taken to be as large as they are; "
+        f"{PUPIL_DISTANCE:g}, the mean of adults, unless given",
+    )
+
+
+def given_placing(arguments: argparse.Namespace) -> Placing | None:
+    """How the options of `add_camera` say that heads are placed before a camera; None: they are not.
+
+    Raises:
+        InputError: two cameras, none for a distance of pupils, or a number out of range.
+    """
+    camera, view, pupils = arguments.camera, arguments.field_of_view, arguments.pupil_distance
+    if camera is not None and view is not None:
+        raise InputError("expected --camera or --field-of-view; got both")
+    if camera is None and view is None:
+        if pupils is not None:
+            raise InputError("--pupil-distance: expected --camera or --field-of-view with it; got neither")
+        return None
+    known: Camera = PinholeCamera(*camera) if view is None else FieldOfView(view)
+    return Placing(known) if pupils is None else Placing(known, pupils)
 
 
 def add_refine(command: argparse.ArgumentParser) -> None:

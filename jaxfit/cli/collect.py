@@ -4,6 +4,7 @@ import argparse
 
 from jaxfit.cli.arguments import (
     add_detector,
+    add_heads,
     add_pictures,
     add_refine,
     add_starts,
@@ -31,6 +32,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_pictures(command)
     add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
+    add_heads(command)
     add_refine(command)
     add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
@@ -43,7 +45,15 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Fit and write; 1 if no picture has a face that was fitted, or some are missing."""
     fitting = given_fitting(options)
-    fitter = BatchFitter(options.model, fitting, options.refine, options.cores, options.max_megapixels, options.unshift)
+    fitter = BatchFitter(
+        options.model,
+        fitting,
+        options.refine,
+        options.cores,
+        options.max_megapixels,
+        options.unshift,
+        options.heads,
+    )
     frame, trained = read_usual_fits(options.model)  # the model itself is loaded by the workers
     warn(untrained_starts(options.model, trained, fitting.starts) + given_unshift(options, frame))
     pictures = find_images(options.pictures, options.recursive)

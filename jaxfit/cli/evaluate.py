@@ -12,6 +12,7 @@ from jaxfit.cli.arguments import (
     add_boxes,
     add_datasets,
     add_detector,
+    add_heads,
     add_refine,
     add_starts,
     given_fitting,
@@ -36,6 +37,7 @@ from jaxfit.evaluation.evaluate import Evaluation
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import load
 from jaxfit.processes import is_first
 from jaxfit.runs.run_folder import file_digests, run_files
@@ -73,6 +75,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "where labels have none, or faces are turned by over 45 degrees)",
     )
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
+    add_heads(command)
     add_refine(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where report.json and faces.csv go")
     add_processes(command, run)
@@ -87,6 +90,7 @@ def run(options: argparse.Namespace) -> int:
 def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     """What `run` does, in a folder of results that is held from where all requests are known to be right."""
     model = load(options.model)
+    model = ensure_heads(model) if options.heads else model
     fitting = given_fitting(options)
     asked = EvaluationRun(
         fitting=fitting,
@@ -125,6 +129,7 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
             "boxes": options.boxes,
             **fitting.settings(),
             "seed": options.seed,
+            "heads": options.heads,
             "refine": options.refine,
             "passes": plan.pipeline.passes,
         }

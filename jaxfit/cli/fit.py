@@ -5,12 +5,15 @@ from pathlib import Path
 
 from jaxfit.cli.arguments import (
     add_boxes,
+    add_camera,
     add_detector,
+    add_heads,
     add_pictures,
     add_refine,
     add_starts,
     add_unshift,
     given_fitting,
+    given_placing,
     given_unshift,
     untrained_starts,
     unused_rows,
@@ -34,7 +37,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_boxes(command, "a detector finds the faces")
     add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
+    add_heads(command)
     add_refine(command)
+    add_camera(command)
     add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.add_argument(
@@ -76,7 +81,9 @@ def run(options: argparse.Namespace) -> int:
         folders=tuple(path for path in options.pictures if Path(path).is_dir()),
         box_kind=options.box_kind,
         unshift=options.unshift,
+        heads=options.heads,
         refine=options.refine,
+        placing=given_placing(options),
         formats=tuple(options.format),
         overlays=not options.no_overlays,
         contact_sheet=options.contact_sheet,

@@ -6,11 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from jaxfit.cli.arguments import add_unshift
+from jaxfit.cli.arguments import add_heads, add_unshift
 from jaxfit.cli.progress import say, warn
 from jaxfit.data.detectors import DETECTORS, detector_named, detector_specs
 from jaxfit.errors import InputError
 from jaxfit.fitting.pipeline import usual_detector
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import DEFAULT_MODEL, bundled, load
 from jaxfit.serving import Server, Service
 
@@ -38,6 +39,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         help=f"what finds the faces, to choose from: {', '.join(detector_specs())} (default: all that are installed)",
     )
     add_unshift(command)
+    add_heads(command)
     command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")
     command.set_defaults(run=run)
@@ -47,6 +49,8 @@ def run(options: argparse.Namespace) -> int:
     """Serve until Ctrl-C."""
     models = options.model or sorted(bundled(), key=lambda name: name != DEFAULT_MODEL)
     loaded = _by_name(models, load, _model_name)
+    if options.heads:
+        loaded = {name: ensure_heads(model) for name, model in loaded.items()}
     usual = usual_detector(next(iter(loaded.values())))  # what the page begins with suits the first model
     installed = (name for name, entry in DETECTORS.items() if entry.installed)
     detectors = options.detector or sorted(installed, key=lambda name: name != usual)

@@ -11,17 +11,26 @@ from typing import Any
 import numpy as np
 
 import jaxfit
-from jaxfit.cli.arguments import add_detector, add_unshift, given_search, given_unshift
+from jaxfit.cli.arguments import (
+    add_camera,
+    add_detector,
+    add_heads,
+    add_unshift,
+    given_placing,
+    given_search,
+    given_unshift,
+)
 from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.locks import held
 from jaxfit.data.outputs import MANIFEST, atomic_write, replace_results, require_own_folder
 from jaxfit.data.overlays import draw_name, draw_row
-from jaxfit.data.rows import HEAD, landmark_columns, table_text
+from jaxfit.data.rows import HEAD, PLACE, landmark_columns, table_text
 from jaxfit.data.videos import Video, write_video
 from jaxfit.fitting.one_euro import OneEuro
 from jaxfit.fitting.pipeline import Fitting, usual_detector
 from jaxfit.fitting.track import TrackedFrame, track
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import file_digests, run_files
@@ -50,6 +59,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves")
     add_unshift(command)
+    add_heads(command)
+    add_camera(command)
     command.add_argument("--overlay", action="store_true", help=f"write {_OVERLAY}, which has no sound")
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
     command.set_defaults(run=run)
@@ -57,9 +68,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 
 def run(options: argparse.Namespace) -> int:
     """Track and write; 1 if there was no face at all."""
+    placing = given_placing(options)
     model = load(options.model)
     warn(given_unshift(options, model.cascade.frame))
     model = model.unshifted() if options.unshift else model
+    model = ensure_heads(model) if options.heads or placing is not None else model
     source = options.video
     camera = source.isdigit() and not Path(source).exists()
     with Video(int(source) if camera else source) as video:
@@ -70,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
             search=given_search(options),
             redetect_every=options.redetect_every,
             smoothing=OneEuro() if options.smooth else None,
+            placing=placing,
         )
         require_own_folder(options.out, _COMMAND)
         with held(options.out, _COMMAND):
@@ -85,7 +99,7 @@ def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Ite
     people: set[int] = set()
     with ExitStack() as stack:
         table = csv.writer(stack.enter_context(atomic_write(folder / _TABLE, "w")), lineterminator="\n")
-        columns = _columns(model)
+        columns = _columns(model, placed=given_placing(options) is not None)
         table.writerow(["frame", "seconds", "id", *(name.removeprefix(HEAD) for name in columns)])
         film = stack.enter_context(_film(folder if options.overlay else None, video.frame_rate))
         bars = stack.enter_context(Bars())
@@ -118,10 +132,12 @@ def _write(options: argparse.Namespace, model: Model, video: Video, tracked: Ite
 def _settings(options: argparse.Namespace) -> dict[str, Any]:
     """What the results depend on; JSON values, called like the options."""
     fitting = Fitting(options.detector, given_search(options))
-    names = ("model", "video", "detector", "redetect_every", "smooth", "unshift", "overlay")
+    names = ("model", "video", "detector", "redetect_every", "smooth", "unshift", "overlay", "heads")
+    placing = given_placing(options)
     return {
         "jaxfit": jaxfit.__version__,
         **{name: getattr(options, name) for name in names},
+        "placing": None if placing is None else placing.settings(),
         **vars(fitting.search),
         **file_digests(options.model, run_files(options.model, fitting)),
     }
@@ -145,11 +161,11 @@ def _drawn(frame: TrackedFrame) -> np.ndarray:
     return canvas
 
 
-def _columns(model: Model) -> list[str]:
+def _columns(model: Model, placed: bool) -> list[str]:
     """The columns of a face, as `Fits.to_dicts` calls them; without a confidence, its column is empty."""
     points = landmark_columns(model.scheme, confident=True)[3:]
     return ["ok", "confidence", *(name for name in points if name not in ("ok", "confidence"))] + (
-        [f"{HEAD}{name}" for name in (*ANGLES, "scale")] if model.space_3d is not None else []
+        [] if model.space_3d is None else [f"{HEAD}{name}" for name in (*ANGLES, "scale", *(PLACE if placed else ()))]
     )
 
 

@@ -1,6 +1,7 @@
 """The host side: pictures, boxes, crops, videos, overlays; the only place that touches OpenCV and the disk."""
 
 from jaxfit.data.boxes import read_boxes
+from jaxfit.data.cameras import FieldOfView, PinholeCamera
 from jaxfit.data.crops import Crops
 from jaxfit.data.detectors import Detection, Detector, Search, detect_faces, detector_named
 from jaxfit.data.limits import at_most_megapixels
@@ -12,6 +13,8 @@ __all__ = [
     "Crops",
     "Detection",
     "Detector",
+    "FieldOfView",
+    "PinholeCamera",
     "Search",
     "Video",
     "at_most_megapixels",

@@ -8,19 +8,23 @@ from typing import Any
 import numpy as np
 
 from jaxfit.data.names import table_path, table_word
+from jaxfit.schemes.openness import openings_of
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
-# A face as plain JSON values: image, face, size, box, ok, landmarks; confidence, if the model has one; and pose, scale,
-# landmarks_3d and b of 3D models. Lengths are in pixels of the picture. Rows of labels, which only writers of
-# annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and subject may be
-# there.
+# A face as plain JSON values: image, face, size, box, ok, landmarks; openness, by what opens, of schemes with lids and
+# lips; confidence, if the model has one; pose, scale, landmarks_3d and b of 3D models; position, in millimetres, and
+# rotation_vector before a camera that is known. Other lengths are in pixels of the picture. Rows of labels, which only
+# writers of annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and
+# subject may be there.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
 TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of numbers
 HEAD = "head_"  # before the columns of heads, in tables that have both
+PLACE = tuple(f"{what}_{axis}" for what in ("position", "rotation") for axis in "xyz")  # before a camera
 _BOX = ("x", "y", "width", "height", "rotation")
+_OPENNESS = "_openness"  # behind what opens, in the names of columns
 PIXEL = "pixel"  # the key of the length of a pixel in units, in rows of labels
 FLAGS = ("ok",)  # columns of yes and no
 _DIGITS = 3  # after the point
@@ -35,6 +39,7 @@ class Rows:
         modes: number of coefficients of the 3D shape model; None for models without 3D.
         confident: whether the model has a confidence.
         begin: starts an iteration.
+        placed: whether heads have a place before a camera.
         failures: of writers: pictures of which something could not be written, and why; writers add to it.
     """
 
@@ -42,6 +47,7 @@ class Rows:
     modes: int | None
     confident: bool
     begin: Callable[[], Iterator[Row]]
+    placed: bool = False
     failures: list[tuple[str, str]] = field(default_factory=list, compare=False)
 
     def __iter__(self) -> Iterator[Row]:
@@ -54,7 +60,7 @@ class Rows:
     def tables(self) -> dict[str, tuple[str, ...]]:
         """The columns of each table, by the name of its file without a suffix."""
         tables = {"landmarks": landmark_columns(self.scheme, self.confident)}
-        return tables if self.modes is None else tables | {"heads": head_columns(self.scheme, self.modes)}
+        return tables if self.modes is None else tables | {"heads": head_columns(self.scheme, self.modes, self.placed)}
 
 
 def rounded(values: np.ndarray | np.floating) -> Any:
@@ -65,18 +71,20 @@ def rounded(values: np.ndarray | np.floating) -> Any:
 def landmark_columns(scheme: Scheme, confident: bool) -> tuple[str, ...]:
     """The columns of ``landmarks.csv``."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xy"]
-    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points)
+    opened = (f"{opening.name}{_OPENNESS}" for opening in openings_of(scheme))
+    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points, *opened)
 
 
-def head_columns(scheme: Scheme, modes: int) -> tuple[str, ...]:
+def head_columns(scheme: Scheme, modes: int, placed: bool = False) -> tuple[str, ...]:
     """The columns of ``heads.csv``."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xyz"]
-    return (*TEXTS[:2], *FLAGS, *ANGLES, "scale", *points, *(f"b{number}" for number in range(1, modes + 1)))
+    coefficients = (f"b{number}" for number in range(1, modes + 1))
+    return (*TEXTS[:2], *FLAGS, *ANGLES, "scale", *points, *coefficients, *(PLACE if placed else ()))
 
 
-def columns_of(scheme: Scheme, modes: int | None, confident: bool) -> tuple[str, ...]:
+def columns_of(scheme: Scheme, modes: int | None, confident: bool, placed: bool = False) -> tuple[str, ...]:
     """The columns of both tables, those of heads, but the names, with ``head_`` before them."""
-    heads = () if modes is None else head_columns(scheme, modes)[3:]
+    heads = () if modes is None else head_columns(scheme, modes, placed)[3:]
     return (*landmark_columns(scheme, confident), *(f"{HEAD}{name}" for name in heads))
 
 
@@ -91,13 +99,21 @@ def flat_row(row: Row) -> dict[str, Any]:
         flat["confidence"] = row["confidence"]
     for number, (x, y) in enumerate(row.get("landmarks", ()), 1):
         flat[f"x{number}"], flat[f"y{number}"] = x, y
+    flat |= {f"{name}{_OPENNESS}": value for name, value in row.get("openness", {}).items()}
     if "pose" in row:
         flat |= {f"{HEAD}{angle}": degrees for angle, degrees in row["pose"].items()}
         flat[f"{HEAD}scale"] = row["scale"]
         for number, (x, y, z) in enumerate(row["landmarks_3d"], 1):
             flat[f"{HEAD}x{number}"], flat[f"{HEAD}y{number}"], flat[f"{HEAD}z{number}"] = x, y, z
         flat |= {f"{HEAD}b{number}": value for number, value in enumerate(row["b"], 1)}
+    if "position" in row:
+        flat |= dict(zip((f"{HEAD}{name}" for name in PLACE), _place_of(row), strict=True))
     return flat
+
+
+def _place_of(row: Row) -> list[float]:
+    """The values of ``PLACE``; none of a row without them."""
+    return [*row.get("position", ()), *row.get("rotation_vector", ())]
 
 
 def spelled(row: Row) -> Row:
@@ -111,11 +127,19 @@ def table_values(name: str, row: Row) -> list[str | float | bool]:
     if name == "landmarks":
         box = row["box"]
         confidence = [row["confidence"]] if "confidence" in row else []
-        return [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence] + list(
-            chain.from_iterable(row["landmarks"])
-        )
+        values = [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence]
+        return [*values, *chain.from_iterable(row["landmarks"]), *row.get("openness", {}).values()]
     points = chain.from_iterable(row["landmarks_3d"])
-    return [row["image"], row["face"], row["ok"], *row["pose"].values(), row["scale"], *points, *row["b"]]
+    return [
+        row["image"],
+        row["face"],
+        row["ok"],
+        *row["pose"].values(),
+        row["scale"],
+        *points,
+        *row["b"],
+        *_place_of(row),
+    ]
 
 
 def table_text(value: str | float | bool) -> str:

@@ -7,6 +7,7 @@ from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.fitting.fuse import fuse
 from jaxfit.fitting.one_euro import OneEuro
 from jaxfit.fitting.pipeline import Fitting, Pipeline
+from jaxfit.fitting.place import Placing, place_heads
 from jaxfit.fitting.refine import refine
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
@@ -18,6 +19,7 @@ __all__ = [
     "Found",
     "OneEuro",
     "Pipeline",
+    "Placing",
     "Problem",
     "Source",
     "TrackedFrame",
@@ -26,6 +28,7 @@ __all__ = [
     "find_faces",
     "fit",
     "fuse",
+    "place_heads",
     "refine",
     "stream",
     "track",

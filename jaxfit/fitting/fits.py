@@ -10,11 +10,20 @@ import numpy as np
 
 from jaxfit.data.rows import PROBLEM, Row, Rows, columns_of, flat_row, rounded
 from jaxfit.errors import InputError
+from jaxfit.schemes.openness import openings_of, openness
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
 _OK = 0.5  # confidence from which a fit is rather good than not
-_OPTIONAL = ("landmarks_3d", "pose", "scale", "b", "confidence")  # in the order of the columns of tables
+_OPTIONAL = (
+    "landmarks_3d",
+    "pose",
+    "scale",
+    "b",
+    "position",
+    "rotation_vector",
+    "confidence",
+)  # in the order of the columns of tables
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,10 @@ class Fits:
         pose: (N, 3) roll, pitch and yaw in degrees: clockwise as seen, looking up, nose to the image's left.
         scale: (N,) s of Eq. 15, pixels of the picture per pixel of the canonical face.
         b: (N, M) coefficients of the 3D shape model, ``model.space_3d.model``.
+        position: (N, 3) millimetres from the camera to each head's origin, the centroid of its mean landmarks: x right,
+            y down, z forward, as OpenCV's ``tvec``; None unless ``jaxfit.place_heads`` placed the heads.
+        rotation_vector: (N, 3) radians, the axis times the angle by which each head is turned before the camera, as
+            OpenCV's ``rvec``: 0 for a head that looks along the axis into the camera. None likewise.
         confidence: (N,) the probability, in [0, 1], that the fit is a good one, as ``jaxfit.learning.learn_confidence``
             defines it; NaN for faces that could not be fitted, None for models without a confidence.
     """
@@ -78,6 +91,8 @@ class Fits:
     pose: np.ndarray | None = None
     scale: np.ndarray | None = None
     b: np.ndarray | None = None
+    position: np.ndarray | None = None
+    rotation_vector: np.ndarray | None = None
     confidence: np.ndarray | None = None
 
     @property
@@ -91,9 +106,20 @@ class Fits:
         return self.fitted if self.confidence is None else self.fitted & (self.confidence >= _OK)
 
     @property
+    def openness(self) -> dict[str, np.ndarray]:
+        """How far the left and the right eye of the picture and the mouth are open, (N,) each, by these names: see
+        `jaxfit.schemes.openness`; nothing of schemes without lids and lips."""
+        names = [opening.name for opening in openings_of(self.scheme)]
+        return dict(zip(names, openness(self.landmarks, self.scheme).T, strict=True))
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """The names of the columns of `to_dicts`."""
-        return columns_of(self.scheme, None if self.b is None else self.b.shape[1], self.confidence is not None)
+        return columns_of(self.scheme, self._modes, self.confidence is not None, self.position is not None)
+
+    @property
+    def _modes(self) -> int | None:
+        return None if self.b is None else self.b.shape[1]
 
     def __len__(self) -> int:
         return len(self.landmarks)
@@ -185,9 +211,10 @@ class Fits:
         """
         return Rows(
             self.scheme,
-            None if self.b is None else self.b.shape[1],
+            self._modes,
             self.confidence is not None,
             lambda: (row for row in self._rows(labels) if problems or PROBLEM not in row),
+            self.position is not None,
         )
 
     def to_dicts(self, problems: bool = False) -> list[dict[str, Any]]:
@@ -232,6 +259,9 @@ class Fits:
         if problem is not None:
             return entry | {PROBLEM: problem}
         entry["landmarks"] = rounded(self.landmarks[row])
+        if openings := openings_of(self.scheme):
+            values = rounded(openness(self.landmarks[row], self.scheme))
+            entry["openness"] = dict(zip((opening.name for opening in openings), values, strict=True))
         if self.confidence is not None:
             entry["confidence"] = rounded(self.confidence[row])
         if self.pose is not None and self.scale is not None and self.landmarks_3d is not None and self.b is not None:
@@ -239,6 +269,9 @@ class Fits:
             entry["scale"] = rounded(self.scale[row])
             entry["landmarks_3d"] = rounded(self.landmarks_3d[row])
             entry["b"] = rounded(self.b[row])
+        if self.position is not None and self.rotation_vector is not None:
+            entry["position"] = rounded(self.position[row])
+            entry["rotation_vector"] = rounded(self.rotation_vector[row])
         return entry
 
 

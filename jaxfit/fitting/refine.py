@@ -65,7 +65,10 @@ def require_refinable(model: Model) -> None:
         InputError: it does not.
     """
     if model.aligned is None:
-        raise InputError("refine: only models of the method alignment3d align a 3D shape that could be refined")
+        raise InputError(
+            "refine: only models of the method alignment3d, and 2D models with heads (--heads, jaxfit.with_heads), "
+            "align a 3D shape that could be refined"
+        )
 
 
 @jax.jit

@@ -21,6 +21,7 @@ from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.fit import fit
 from jaxfit.fitting.fits import Fits
 from jaxfit.fitting.one_euro import OneEuro, Smoothed
+from jaxfit.fitting.place import Placing, place_heads, placed_heads
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.modes import computing
 from jaxfit.shapes.pose_order import wrapped_degrees
@@ -41,6 +42,7 @@ _FOUND_AGAIN = 2.0  # seconds for which a lost face keeps its number,
 _NEAR = 1.0  # if it comes back within so many sides
 _CUT_SIDE = 32  # pixels of the small copy of a frame,
 _CUT = 30.0  # and their mean change, in grey levels, from which there is a cut between two frames
+_SHAPE_FRAMES = 30  # from whose mean a person's shape is known
 _RADIAN = 57.3  # degrees; a turn of the head by so much moves its points by about its size
 
 
@@ -76,6 +78,7 @@ def track(
     redetect_every: int = 10,
     smoothing: OneEuro | None = None,
     frame_rate: float = DEFAULT_FRAME_RATE,
+    placing: Placing | None = None,
 ) -> Iterator[TrackedFrame]:
     """Find the faces of a video's frames, one after the other, and keep track of who is who.
 
@@ -91,6 +94,7 @@ def track(
         redetect_every: in frames.
         smoothing: ``jaxfit.OneEuro()``, or None.
         frame_rate: frames a second, if they come as arrays; files and cameras know the time.
+        placing: as in `Tracker`.
 
     Raises:
         InputError: as `Tracker`, the video cannot be opened, or the frame rate is not positive.
@@ -100,7 +104,7 @@ def track(
     if not isinstance(frames, str | Path | int | Video):
         require_several(frames)
     finder = detector_named(detector, search)
-    tracker = Tracker(model, finder, redetect_every=redetect_every, smoothing=smoothing)
+    tracker = Tracker(model, finder, redetect_every=redetect_every, smoothing=smoothing, placing=placing)
     # Not in the generator: what is wrong is said at once, not when the first frame is asked for.
     opened = Video(frames) if isinstance(frames, str | Path | int) else frames
     return _tracked(tracker, opened, owned=opened is not frames, frame_rate=frame_rate)
@@ -153,6 +157,8 @@ class _Track:
         found: how often the detector found it.
         missed: runs in a row, since, that did not.
         smoothed: of the 2D landmarks, the 3D ones and the pose, by name.
+        shape: the head's coefficients, of 3D models: the mean of what some first frames say.
+        shapes: how many frames.
     """
 
     id: int
@@ -163,6 +169,8 @@ class _Track:
     found: int = 1
     missed: int = 0
     smoothed: dict[str, Smoothed] = field(default_factory=dict)
+    shape: np.ndarray | None = None
+    shapes: int = 0
 
     def expected(self, seconds: float) -> np.ndarray:
         """The square (4,) where it should be, if it goes on moving as it did."""
@@ -187,10 +195,13 @@ class Tracker:
         search: how faces are looked for, by detectors that come by name.
         redetect_every: frames from one look for new faces to the next.
         smoothing: of the landmarks and the pose that come out, or None; it has no part in the fits.
+        placing: the camera that heads are placed before, as by ``jaxfit.place_heads``, with a model that finds heads;
+            None does not place them. The shape of a person's head is the mean of what the first 30 frames say, and
+            then stays the same.
 
     Raises:
-        InputError: there is no such detector, the model does not know how faces lie in its boxes, or
-            ``redetect_every`` is not positive.
+        InputError: there is no such detector, the model does not know how faces lie in its boxes,
+            ``redetect_every`` is not positive, or the model's heads cannot be placed.
     """
 
     def __init__(
@@ -201,11 +212,15 @@ class Tracker:
         search: Search = Search(),
         redetect_every: int = 10,
         smoothing: OneEuro | None = None,
+        placing: Placing | None = None,
     ):
         if redetect_every < 1:
             raise InputError(f"expected redetect_every of 1 frame or more; got {redetect_every}")
         self.model = model
+        if placing is not None:
+            placing.unit(model)
         self.smoothing = smoothing
+        self.placing = placing
         self.redetect_every = redetect_every
         self._detect = detector_named(detector, search)
         for kind in self._detect.kinds:
@@ -334,7 +349,9 @@ class Tracker:
         if near:
             track = max(near, key=lambda track: overlap(track.last.box, square))
             self._lost.remove(track)
-            return _Track(track.id, track.born, _Square(square, 0.0, seconds))
+            again = _Track(track.id, track.born, _Square(square, 0.0, seconds))
+            again.shape, again.shapes = track.shape, track.shapes
+            return again
         self._people += 1
         return _Track(self._people, number, _Square(square, 0.0, seconds))
 
@@ -360,9 +377,20 @@ class Tracker:
                 if name in fits.arrays:
                     values = fits.arrays[name][0]
                     smoothed[name] = _smoothed(self.smoothing, track, name, values, seconds, size)[None]
-        fits = replace(fits, **smoothed)
+        fits = self._placed(track, replace(fits, **smoothed))
         boxed = replace(fits, boxes=bounding_square(fits.landmarks[0])[None], kinds=(SQUARE,))
         return _Face(track.id, number - track.born + 1, boxed)
+
+    def _placed(self, track: _Track, fits: Fits) -> Fits:
+        """The fit of a face before the camera, if there is one, in the shape that its track knows until now."""
+        if self.placing is None:
+            return fits
+        if track.shapes < _SHAPE_FRAMES:
+            (found,) = placed_heads(self.model, fits, self.placing.camera).b
+            if np.isfinite(found).all():
+                track.shapes += 1
+                track.shape = found if track.shape is None else track.shape + (found - track.shape) / track.shapes
+        return place_heads(self.model, fits, self.placing, track.shape)
 
 
 @computing

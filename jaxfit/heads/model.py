@@ -50,6 +50,15 @@ class HeadModel:
         """
         return self.of_points(self.indices(scheme), variance)
 
+    def in_pixels(self, scheme: Scheme, variance: float, side: float) -> ActiveShapeModel:
+        """As :meth:`of`, in pixels of a picture in which the mean's larger side is ``side``, seen from the front.
+
+        Raises:
+            InputError: as :meth:`of`.
+        """
+        in_cm = self.of(scheme, variance)
+        return in_cm.scaled(side / jnp.ptp(in_cm.mean[:, :2], 0).max())
+
     def indices(self, scheme: Scheme) -> tuple[int, ...]:
         """Which of its points are a scheme's, in the scheme's order.
 

@@ -97,9 +97,7 @@ def _similarity_asm(faces: np.ndarray, scheme: Scheme, options: Options, side: f
 
 def camera_asm(faces: np.ndarray, scheme: Scheme, options: Options, side: float) -> CameraASM:
     """The shape space of the 3D methods. Pictures do not show depth: its shape model is that of a head model."""
-    in_cm = load_head_model(options.head_model).of(scheme, options.shape_variance)
-    pixels = side / jnp.ptp(in_cm.mean[:, :2], 0).max()
-    model = in_cm.scaled(pixels)
+    model = load_head_model(options.head_model).in_pixels(scheme, options.shape_variance, side)
     sigmas = likely_radius(len(model.deviations)) if options.sigmas is None else options.sigmas
     return CameraASM(model, jnp.float32(sigmas))
 

@@ -28,7 +28,7 @@ from jaxfit.modes import computing
 from jaxfit.schemes.own import scheme_json, scheme_of_json
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes import SPACES
-from jaxfit.shapes.camera_asm import CameraASM
+from jaxfit.shapes.camera_asm import CameraASM, WeightedCameraASM
 
 FORMAT = 1
 SUFFIX = ".safetensors"
@@ -36,6 +36,8 @@ BUNDLED = "jaxfit.models"  # the package that models come with
 DEFAULT_MODEL = "face68"  # one of them
 
 _KEY = "jaxfit"
+# What files call the shape spaces that are aligned to the landmarks of 2D ones.
+_ALIGNED = {"camera-asm": CameraASM, "weighted-camera-asm": WeightedCameraASM}
 _LEARNED = "learned"  # digests, optional, and no parameters
 MOST_BYTES = 1 << 30  # of a file; bundled ones have ten million
 _MOST_PLACEMENT = 10.0  # sides of a box, and logarithms: those that were measured are below 1
@@ -73,6 +75,7 @@ def save(model: Model, path: str | Path) -> None:
             **vars(cascade.descriptor),
         },
         **usage_of(model),
+        **({} if model.aligned is None else {"aligned": _name_of(_ALIGNED, model.aligned)}),
         "training": model.training,
     }
     learned = {} if model.learned is None else {_LEARNED: model.learned}
@@ -233,7 +236,7 @@ def _parse(data: bytes) -> Model:
         cascade=_cascade(header, tensors, frame, scheme.count),
         scheme=scheme,
         placements=placements,
-        aligned=_aligned(tensors, scheme.count),
+        aligned=_aligned(header, tensors, scheme.count),
         confidence=_confidence(tensors),
         training=header["training"],
         learned=learned,
@@ -276,11 +279,12 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
     )
 
 
-def _aligned(tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
-    """What a model of 3D alignment aligns, of ``count`` landmarks."""
+def _aligned(header: dict[str, Any], tensors: dict[str, np.ndarray], count: int) -> CameraASM | None:
+    """What a model of 3D alignment aligns, of ``count`` landmarks; earlier versions knew one kind, and did not say."""
     if not any(name.startswith("head.") for name in tensors):
         return None
-    return _assembled("head", CameraASM, tensors, {"landmarks": count, "dimensions": 3})
+    kind: Any = _ALIGNED[header.get("aligned", "camera-asm")]
+    return _assembled("head", kind, tensors, {"landmarks": count, "dimensions": 3})
 
 
 def _confidence_tensors(confidence: Confidence | None) -> dict[str, np.ndarray]:

@@ -150,6 +150,7 @@ def _settings(fitter: BatchFitter) -> dict[str, Any]:
         "detector": fitter.fitting.detector or DEFAULT_DETECTOR,
         "refine": fitter.refine,
         "unshift": fitter.unshift,
+        "heads": fitter.heads,
         "max_megapixels": fitter.max_megapixels,
         **file_digests(fitter.model, run_files(fitter.model, fitter.fitting)),
     }

@@ -35,9 +35,11 @@ from jaxfit.data.writers import DEFAULT_FORMATS, PTS, WRITERS, require_pyarrow
 from jaxfit.errors import ImageError, InputError
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
+from jaxfit.fitting.place import Placing, place_heads
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import DEFAULT_MODEL, load
 from jaxfit.models.model import Model
 from jaxfit.runs.run_folder import RunFolder, digest, file_digests, run_files
@@ -72,7 +74,9 @@ class FolderRun:
         folders: that the pictures were found in.
         box_kind: what drew those boxes; None takes what the file's column box says, and squares where it says nothing.
         unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
+        heads: find heads with 2D models, as ``jaxfit.with_heads`` does.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
+        placing: the camera that heads are placed before, as ``jaxfit.place_heads`` does; 2D models then find heads.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
         overlays: write pictures with the faces drawn over them.
         contact_sheet: write one picture of many faces, the doubtful first.
@@ -89,7 +93,9 @@ class FolderRun:
     folders: tuple[str | Path, ...] = ()
     box_kind: str | None = None
     unshift: bool = False
+    heads: bool = False
     refine: bool = False
+    placing: Placing | None = None
     formats: tuple[str, ...] = DEFAULT_FORMATS
     overlays: bool = True
     contact_sheet: bool = False
@@ -114,7 +120,9 @@ class FolderRun:
             "box_kind": self.box_kind,
             "folders": list(map(str, self.folders if self.boxes else ())),
             "unshift": self.unshift,
+            "heads": self.heads,
             "refine": self.refine,
+            "placing": None if self.placing is None else self.placing.settings(),
             "overlays": self.overlays,
             "max_megapixels": most_megapixels(),
             **file_digests(self.model, self.files()),
@@ -184,6 +192,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], *, progress: Prog
     """
     model = load(run.model)
     model = model.unshifted() if run.unshift else model
+    model = ensure_heads(model) if run.heads or run.placing is not None else model
     pipeline, named = _pipeline(run, model)
     with held(run.out, _COMMAND):
         return _fit_held(run, pipeline, named, each_once(pictures), progress)
@@ -210,7 +219,7 @@ def _fit_held(
     unfinished.begin(settings, chunks, [*overlays, *_RESULTS])
     resumed = _fit_missing(run, pipeline, boxes, unused, chunks, labels, unfinished, progress)
     modes = None if model.space_3d is None else model.space_3d.modes
-    fitted = Rows(model.scheme, modes, model.confidence is not None, unfinished.faces)
+    fitted = Rows(model.scheme, modes, model.confidence is not None, unfinished.faces, run.placing is not None)
     rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))
@@ -310,6 +319,8 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | Non
     """How pictures are fitted, and the boxes of the file, if there is one; wrong settings stop before the work."""
     if run.refine:
         require_refinable(model)
+    if run.placing is not None:
+        run.placing.unit(model)
     if "parquet" in run.formats:
         require_pyarrow()
     if unknown := [name for name in run.formats if name not in WRITERS]:
@@ -370,6 +381,7 @@ def _fit_missing(
         for number, fits in zip(missing, results, strict=True):
             named = labels[number * _CHUNK : (number + 1) * _CHUNK]
             fits = refine(model, fits) if run.refine else fits
+            fits = fits if run.placing is None else place_heads(model, fits, run.placing)
             rows = list(fits.rows(named, problems=True))
             if boxes is not None:  # of pictures without any row that is said
                 rows = [row if "face" in row else row | {PROBLEM: _no_row(row["image"], elsewhere)} for row in rows]

@@ -22,6 +22,7 @@ from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine
 from jaxfit.fitting.sources import Source
 from jaxfit.fitting.stream import stream
+from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import BUNDLED, DEFAULT_MODEL, load, read_named
 
 
@@ -37,6 +38,7 @@ class BatchFitter:
         cores: that a worker's threads keep busy; with a worker for each core, 1.
         max_megapixels: of a picture; larger ones are problems.
         unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
+        heads: find heads with 2D models, as ``jaxfit.with_heads`` does.
 
     Raises:
         InputError: no such detector, or a number out of range.
@@ -49,6 +51,7 @@ class BatchFitter:
     cores: int = 1
     max_megapixels: float = DEFAULT_MEGAPIXELS
     unshift: bool = False
+    heads: bool = False
 
     def __post_init__(self) -> None:
         # Not the model's contents: who sends this to workers need not have JAX take a device.
@@ -79,7 +82,7 @@ class BatchFitter:
             ModelError: the model file is damaged.
         """
         names, pictures = _pictures(batch)
-        pipeline = _pipeline(self.model, self.fitting, self.cores, self.unshift)
+        pipeline = _pipeline(self.model, self.fitting, self.cores, self.unshift, self.heads)
         sources = [Source(picture, name_of(picture)) for picture in pictures]
         with at_most_cores(self.cores), at_most_megapixels(self.max_megapixels):
             (fits,) = stream(pipeline, [sources], len(sources))
@@ -119,12 +122,13 @@ def _bytes(data: Any) -> bytes:
 
 
 @cache
-def _pipeline(model: str | Path, fitting: Fitting, cores: int, unshift: bool) -> Pipeline:
+def _pipeline(model: str | Path, fitting: Fitting, cores: int, unshift: bool, heads: bool) -> Pipeline:
     """What a process needs, once."""
     os.environ.setdefault("NPROC", str(cores))  # how many threads XLA starts, if it has not begun yet
     keep_compiled_code()
     loaded = load(model)
-    return fitting.pipeline(loaded.unshifted() if unshift else loaded)
+    loaded = loaded.unshifted() if unshift else loaded
+    return fitting.pipeline(ensure_heads(loaded) if heads else loaded)
 
 
 def _columns(fits: Fits, names: Sequence[str]) -> dict[str, np.ndarray]:

@@ -6,6 +6,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxfit.shapes.asm import ActiveShapeModel
+from jaxfit.shapes.head_pose import HeadPose
 from jaxfit.types import Landmarks, Landmarks3D, Params, Point, Scalar
 
 
@@ -82,6 +83,8 @@ class ShapeSpace(Protocol):
 class ShapeSpace3D(ShapeSpace, Protocol):
     """A shape space whose faces are three-dimensional: parameters say how the head is turned and how deep it is."""
 
+    steady: ClassVar[bool]  # whether `encode` takes as long for every face, so that many are encoded side by side
+
     @property
     def model(self) -> ActiveShapeModel:
         """The 3D shape model, in pixels of the canonical face."""
@@ -102,6 +105,10 @@ class ShapeSpace3D(ShapeSpace, Protocol):
     @property
     def modes(self) -> int:
         """Number of coefficients."""
+        ...
+
+    def before_camera(self, points: Landmarks, shape: Float[Array, "modes"] | None = None) -> HeadPose:
+        """The head that a pinhole camera sees at points, at depth 1; ``shape``: its coefficients, if they are known."""
         ...
 
     def refined(self, landmarks: Landmarks) -> Params:

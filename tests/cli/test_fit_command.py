@@ -10,7 +10,8 @@ from csv_files import labelled_box, read_csv, write_boxes
 
 from jaxfit.cascade.starts import Starts
 from jaxfit.cli.main import main
-from jaxfit.fitting import Fitting
+from jaxfit.data.cameras import FieldOfView, PinholeCamera
+from jaxfit.fitting import Fitting, Placing
 from jaxfit.runs import FolderReport, FolderRun
 from jaxfit.runs.folder import Unfit
 
@@ -66,6 +67,8 @@ def test_options_make_a_run(asked: list[tuple[FolderRun, list[Path]]], drawn: Pa
     main(fit)
     main([*fit, "--detector", "whole", "--no-overlays", "--contact-sheet", "--overwrite", "--format", "coco", "csv"])
     main([*fit, "--boxes", "b.csv", "--box-kind", "dlib", "--refine", "--starts", "5", "--rotations", "-30", "40"])
+    main([*fit, "--heads", "--camera", "900", "950", "320", "240.5"])
+    main([*fit, "--field-of-view", "60", "--pupil-distance", "58.5"])
     usual = FolderRun("out", "fast68", folders=(str(drawn),))
     assert [run for run, _ in asked] == [
         usual,
@@ -78,6 +81,8 @@ def test_options_make_a_run(asked: list[tuple[FolderRun, list[Path]]], drawn: Pa
             overwrite=True,
         ),
         replace(usual, boxes="b.csv", box_kind="dlib", fitting=Fitting(starts=Starts(5, -30.0, 40.0)), refine=True),
+        replace(usual, heads=True, placing=Placing(PinholeCamera(900.0, 950.0, 320.0, 240.5))),
+        replace(usual, placing=Placing(FieldOfView(60.0), 58.5)),
     ]
 
 
@@ -135,6 +140,9 @@ def test_wrong_settings_are_refused_before_anything_is_written(
         "only models of the method alignment3d": ["--refine", "--detector", "whole"],
         "give that file too": ["--box-kind", "whole"],
         "min confidence: expected a number from 0 to 1": ["--min-confidence", "7"],
+        "expected --camera or --field-of-view; got both": ["--camera", "9", "9", "1", "1", "--field-of-view", "60"],
+        "expected --camera or --field-of-view with it; got neither": ["--pupil-distance", "60"],
+        "focal lengths, above 0": ["--camera", "0", "9", "1", "1"],
         "any rotation); got both": ["--boxes", "boxes.csv", "--any-rotation"],
     }.items():
         assert main(["fit", str(drawn), "--model", str(drawn_model), "--out", str(out), *wrong]) == 2

@@ -89,6 +89,11 @@ def test_heads_have_their_pose(film: Path, head_models: dict[str, Model], tmp_pa
     assert main(["track", str(film), *arguments, "--out", str(tmp_path / "out")]) in (0, 1)
     with open(tmp_path / "out" / "faces.csv", encoding="utf-8") as file:
         assert file.readline().rstrip().endswith(",roll,pitch,yaw,scale")
+    before_camera = [*arguments[:-1], "--field-of-view", "60", "--pupil-distance", "60"]
+    assert main(["track", str(film), *before_camera, "--out", str(tmp_path / "placed")]) in (0, 1)
+    with open(tmp_path / "placed" / "faces.csv", encoding="utf-8") as file:
+        place = [f"{what}_{axis}" for what in ("position", "rotation") for axis in "xyz"]
+        assert file.readline().rstrip().split(",")[-7:] == ["scale", *place]
 
 
 def test_a_stopped_run_leaves_nothing_half_written(

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxfit.data.rows import Row, Rows, rounded
 from jaxfit.schemes.known import IBUG68
+from jaxfit.schemes.openness import openings_of
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import ANGLES
 
@@ -26,6 +27,8 @@ def face_row(image: str, face: str, scheme: Scheme = IBUG68, modes: int | None =
         "ok": confidence > 0.2,
         "landmarks": numbers(scheme.count, 2),
     }
+    if openings := openings_of(scheme):
+        row["openness"] = dict(zip((opening.name for opening in openings), numbers(len(openings)), strict=True))
     if confidence >= 0:
         row["confidence"] = confidence
     if modes is not None:

@@ -14,7 +14,7 @@ from jaxfit.data.writers import WRITERS
 from jaxfit.errors import InputError
 from jaxfit.fitting.fits import Fits, Problem
 from jaxfit.models.model import SQUARE
-from jaxfit.schemes.known import AFLW21, scheme_named
+from jaxfit.schemes.known import AFLW21, IBUG68, scheme_named
 
 SCHEME = scheme_named("points5")
 PICTURES = np.array([0, 0, 1, 3, 3, 3])  # the third picture has no face
@@ -308,3 +308,15 @@ def test_rows_and_dicts_make_data_frames(fits: Fits, library: str) -> None:
     nested = frames.DataFrame(fits.rows())
     assert list(nested["image"]) == list(frame["image"])
     assert [len(points) for points in nested["landmarks"]] == [SCHEME.count] * 5
+
+
+def test_faces_with_lids_and_lips_say_how_far_these_are_open() -> None:
+    landmarks = np.random.default_rng(0).normal(100, 30, (COUNT, IBUG68.count, 2))
+    landmarks[LOST] = np.nan
+    fits = replace(made("2D"), scheme=IBUG68, landmarks=landmarks)
+    assert list(fits.openness) == ["left_eye", "right_eye", "mouth"]
+    assert np.isnan(fits.openness["mouth"]).tolist() == (~fits.fitted).tolist()
+    for row, flat, face in zip(fits.rows(), fits.to_dicts(), fits[fits.fitted], strict=True):
+        for name, (value,) in face.openness.items():
+            assert row["openness"][name] == flat[f"{name}_openness"] == pytest.approx(value, abs=5e-4)
+    assert made("2D").openness == {}
