@@ -125,9 +125,10 @@ def test_answers_are_the_fits(server: Server, portrait_file: Path, model: str) -
     np.testing.assert_allclose(list(face["box"].values()), [*fits.boxes[0], fits.rotations[0]], atol=1e-3)
     np.testing.assert_allclose(face["landmarks"], fits.landmarks[0], atol=0.05)
     if fits.pose is None or fits.landmarks_3d is None or fits.scale is None:
-        assert face.keys() == {"size", "box", "ok", "landmarks"}
+        assert face.keys() == {"size", "box", "ok", "landmarks", "openness"}
     else:
-        assert face.keys() == {"size", "box", "ok", "landmarks", "pose", "scale", "landmarks_3d", "b", "outline"}
+        in_3d = {"pose", "scale", "landmarks_3d", "b", "outline"}
+        assert face.keys() == {"size", "box", "ok", "landmarks", "openness"} | in_3d
         np.testing.assert_allclose(face["landmarks_3d"], fits.landmarks_3d[0], atol=0.05)
         assert list(face["pose"]) == ["roll", "pitch", "yaw"]
         np.testing.assert_allclose(list(face["pose"].values()), fits.pose[0], atol=0.05)
