@@ -29,6 +29,7 @@ _LATEX = {
     "≤": r"$\leq$",
     "≥": r"$\geq$",
     "∞": r"$\infty$",
+    "√": r"$\surd$",
     "σ": r"$\sigma$",
     "→": r"$\rightarrow$",
 }
