@@ -32,6 +32,7 @@ _LATEX = {
     "√": r"$\surd$",
     "σ": r"$\sigma$",
     "→": r"$\rightarrow$",
+    "†": r"$\dagger$",
 }
 
 

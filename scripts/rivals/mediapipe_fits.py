@@ -10,18 +10,19 @@ import json
 import resource
 import sys
 import time
+from pathlib import Path
 
 import cv2
 import mediapipe
 import numpy as np
 
-_FACES = 10  # at most in a picture
+FACES = 10  # at most in a picture
 
 
 def main(pictures: str, out: str) -> None:
     """``pictures`` has a path a line; ``out`` gets a row a face. What it took is printed as JSON."""
-    mesh = mediapipe.solutions.face_mesh.FaceMesh(static_image_mode=True, max_num_faces=_FACES, refine_landmarks=True)
-    names = open(pictures, encoding="utf-8").read().splitlines()
+    mesh = mediapipe.solutions.face_mesh.FaceMesh(static_image_mode=True, max_num_faces=FACES, refine_landmarks=True)
+    names = Path(pictures).read_text(encoding="utf-8").splitlines()
     seconds = 0.0
     with open(out, "w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -40,7 +41,8 @@ def main(pictures: str, out: str) -> None:
                 points = np.array([[point.x * width - 0.5, point.y * height - 0.5] for point in face.landmark])
                 writer.writerow([name, *(f"{value:.3f}" for value in points.ravel())])
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(json.dumps({"pictures": len(names), "seconds": seconds, "megabytes": memory, "version": mediapipe.__version__}))
+    took = {"pictures": len(names), "seconds": seconds, "megabytes": memory, "version": mediapipe.__version__}
+    print(json.dumps(took))
 
 
 if __name__ == "__main__":
