@@ -41,13 +41,20 @@ _RANGED = ("mean", "median", "AUC", "failure")
 INTERVALS = {
     "dataset": "",
     "contestant": "",
+    "relative to": "",
     **{f"{name} {end}": ".4f" for name in _RANGED for end in ("from", "to")},
 }
-TESTS = {"dataset": "", "first": "", "second": "", **DIFFERENCES, "effect size": "+.2f", "better": ""}
+_TESTED = {"first": "", "second": "", **DIFFERENCES, "effect size": "+.2f", "better": ""}
+TESTS = {"dataset": "", "relative to": "", **_TESTED}
 POSES = {"dataset": "", "contestant": "", **POSE_COLUMNS, "MAE from": ".2f", "MAE to": ".2f"}
-POSE_TESTS = {"dataset": "", "angle": "", **{name: form for name, form in TESTS.items() if name != "dataset"}}
+POSE_TESTS = {"dataset": "", "angle": "", **_TESTED}
 _YAW_HEADINGS = [f"{max(low, 0):g} to {high:g}°" for low, high in YAW_RANGES]
-BY_YAW = {"dataset": "", "contestant": "", **dict.fromkeys([*_YAW_HEADINGS, "mean of the three"], ".4f")}
+BY_YAW = {
+    "dataset": "",
+    "contestant": "",
+    "relative to": "",
+    **dict.fromkeys([*_YAW_HEADINGS, "mean of the three"], ".4f"),
+}
 
 _ERRORS_NOTE = (
     "The mean is over fitted faces; faces without a fit count in the median, the AUC and the failures. Mean of shared: "
@@ -117,17 +124,19 @@ def build_comparison(
     sections = [
         Section("Errors", (), tuple(parts["errors"]), "errors"),
         Section("Poses", (), tuple(parts["poses"]), "poses"),
-        Section("Faces", ("Labels in red, fits in cyan.",), tuple(parts["faces"]), "faces"),
+        Section("Faces", (), tuple(parts["faces"]), "faces"),
         Section("Notes", tuple(notes), (), "notes"),
     ]
     about = {
-        entry.contestant.name: f"{table_path(entry.contestant.source)}, boxes: {entry.boxes}"
-        for entry in comparisons[0].entries
+        "contestants": "; ".join(
+            f"{entry.contestant.name}: {table_path(entry.contestant.source)}, boxes: {entry.boxes}"
+            for entry in comparisons[0].entries
+        ),
+        "faces": ", ".join(
+            f"{name} {len(found.dataset.faces)} of {len({*found.subjects.tolist()})} subjects"
+            for name, found in zip(names, comparisons, strict=True)
+        ),
     }
-    about["faces"] = ", ".join(
-        f"{name} {len(found.dataset.faces)} of {len({*found.subjects.tolist()})} subjects"
-        for name, found in zip(names, comparisons, strict=True)
-    )
     return Report(title, about, tuple(section for section in sections if section.parts or section.text))
 
 
@@ -142,20 +151,24 @@ def comparison_tables(comparisons: Sequence[Comparison]) -> list[ReportTable]:
         errors, subjects = found.errors, found.subjects
         shared = np.all([np.isfinite(each) for each in errors.values()], axis=0) if errors else None
         yaws = found.true_pose[:, ANGLES.index("yaw")]
+        relative = NORMALISERS[found.normaliser].title
         for entry in found.entries:
             called = {"dataset": name, "contestant": marked[entry.contestant.name]}
+            measured = called | {"relative to": relative}
             own = errors.get(entry.contestant.name)
             if own is not None:
-                rows["errors"].append(called | _error_row(found, entry, own, own[shared]))
-                rows["intervals"].append(called | _interval_row(own, subjects))
+                rows["errors"].append(measured | _error_row(found, entry, own, own[shared]))
+                rows["intervals"].append(measured | _interval_row(own, subjects))
                 if np.isfinite(yaws).any():
                     means = means_by_yaw(own, yaws)
-                    rows["by-yaw"].append(called | dict(zip([*_YAW_HEADINGS, "mean of the three"], means, strict=True)))
+                    rows["by-yaw"].append(
+                        measured | dict(zip([*_YAW_HEADINGS, "mean of the three"], means, strict=True))
+                    )
             if (poses := found.poses.get(entry.contestant.name)) is not None:
                 ends = pose_intervals(poses, found.true_pose, subjects)
                 for row, (low, high) in zip(pose_rows(poses, found.true_pose, subjects), ends, strict=True):
                     rows["poses"].append(called | row | {"MAE from": low, "MAE to": high})
-        rows["tests"] += [{"dataset": name, **row} for row in _tests(errors, subjects, marked)]
+        rows["tests"] += [{"dataset": name, "relative to": relative, **row} for row in _tests(errors, subjects, marked)]
         apart = {each: np.abs(pose_errors(poses, found.true_pose)) for each, poses in found.poses.items()}
         for column, angle in enumerate(ANGLES):
             of_angle = {each: values[:, column] for each, values in apart.items()}
@@ -202,7 +215,6 @@ def _error_of(found: Comparison) -> str:
 def _error_row(found: Comparison, entry: Entry, errors: np.ndarray, shared: np.ndarray) -> dict[str, object]:
     return {
         "points": found.scheme.name,
-        "relative to": NORMALISERS[found.normaliser].title,
         "boxes": entry.boxes,
         **summary_row(errors, found.subjects, entry.evaluation.learned),
         "mean of shared": float(shared.mean()) if len(shared) else None,
@@ -213,7 +225,7 @@ def _error_row(found: Comparison, entry: Entry, errors: np.ndarray, shared: np.n
 def _interval_row(errors: np.ndarray, subjects: np.ndarray) -> dict[str, object]:
     found = intervals(errors, subjects=subjects)
     ends = [end for each in (found.mean, found.median, found.auc, found.failure) for end in each]
-    return dict(zip(list(INTERVALS)[2:], ends, strict=True))
+    return dict(zip(list(INTERVALS)[3:], ends, strict=True))
 
 
 def _tests(
@@ -263,7 +275,10 @@ def _worst_figure(name: str, found: Comparison, marked: Mapping[str, str], pictu
         found.scheme,
         SIDE,
     )
-    note = "Of each contestant in turn the worst face that it fitted. Where no fit is drawn, it has none."
+    note = (
+        "Labels in red, fits in cyan: of each contestant in turn the worst face that it fitted. Where no fit is drawn, "
+        "it has none."
+    )
     return ReportFigure(f"worst-{_stem(name)}", f"{name}: the worst faces", figure, note)
 
 
