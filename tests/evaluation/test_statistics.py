@@ -329,6 +329,16 @@ def test_all_intervals_hold_what_the_summary_says() -> None:
     assert found.as_json()["mean"] == list(found.mean)
 
 
+@pytest.mark.parametrize("alternative", ["two-sided", "less"])
+@pytest.mark.parametrize("count", [4, 7])
+def test_ties_of_few_pairs_are_tested_as_by_scipy(count: int, alternative: str) -> None:
+    rng = np.random.default_rng(count)
+    a = rng.integers(0, 9, count).astype(float)
+    b = a + rng.choice([-2, -1, 1, 1, 2], count)
+    expected = stats.wilcoxon(a - b, alternative=alternative).pvalue
+    assert signed_rank(a, b, alternative=alternative) == pytest.approx(expected)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_effect_sizes_belong_to_the_signed_rank_test(seed: int) -> None:
     a, b = lognormal_errors(seed, 20), lognormal_errors(seed + 50, 20)
