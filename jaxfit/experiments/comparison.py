@@ -30,22 +30,22 @@ _SURE = 0.05  # an adjusted p-value from which nobody is called better
 ERRORS = {
     "dataset": "",
     "contestant": "",
-    "points": "",
-    "relative to": "",
-    "boxes": "",
     **SUMMARY_COLUMNS,
     "mean of shared": ".4f",
+    "relative to": "",
+    "points": "",
+    "boxes": "",
     "ms/face": ".1f",
 }
 _RANGED = ("mean", "median", "AUC", "failure")
 INTERVALS = {
     "dataset": "",
     "contestant": "",
-    "relative to": "",
     **{f"{name} {end}": ".4f" for name in _RANGED for end in ("from", "to")},
+    "relative to": "",
 }
 _TESTED = {"first": "", "second": "", **DIFFERENCES, "effect size": "+.2f", "better": ""}
-TESTS = {"dataset": "", "relative to": "", **_TESTED}
+TESTS = {"dataset": "", **_TESTED, "relative to": ""}
 POSES = {"dataset": "", "contestant": "", **POSE_COLUMNS, "MAE from": ".2f", "MAE to": ".2f"}
 POSE_TESTS = {"dataset": "", "angle": "", **_TESTED}
 _YAW_HEADINGS = [f"{max(low, 0):g} to {high:g}°" for low, high in YAW_RANGES]
@@ -225,7 +225,7 @@ def _error_row(found: Comparison, entry: Entry, errors: np.ndarray, shared: np.n
 def _interval_row(errors: np.ndarray, subjects: np.ndarray) -> dict[str, object]:
     found = intervals(errors, subjects=subjects)
     ends = [end for each in (found.mean, found.median, found.auc, found.failure) for end in each]
-    return dict(zip(list(INTERVALS)[3:], ends, strict=True))
+    return dict(zip(list(INTERVALS)[2:-1], ends, strict=True))
 
 
 def _tests(
@@ -271,7 +271,7 @@ def _worst_figure(name: str, found: Comparison, marked: Mapping[str, str], pictu
         [thumbnails.picture(number) for number in numbers],
         [thumbnails.points(number, found.dataset.faces[number].landmarks) for number in numbers],
         fits,
-        [found.dataset.faces[number].face[:16] for number in numbers],
+        [found.dataset.faces[number].face.rpartition("/")[2][-16:] for number in numbers],
         found.scheme,
         SIDE,
     )
