@@ -246,7 +246,8 @@ class ComparisonPlan:
                     pipeline, labels.faces, boxes, kind=kinds, rotations=rotations, progress=progress
                 )
                 evaluation = measure(fits, labels.faces, model=what, seconds_per_face=seconds, learned=learned, **how)
-            drawn_by = self.starts.kinds or "around the labels"
+            unboxed = "the dataset's" if dataset.scheme == NO_LANDMARKS else "around the labels"
+            drawn_by = self.starts.kinds or unboxed
             entries.append(Entry(contestant, evaluation, drawn_by))
         return Comparison(labels, scheme, normaliser, tuple(entries))
 

@@ -52,8 +52,8 @@ _YAW_HEADINGS = [f"{max(low, 0):g} to {high:g}°" for low, high in YAW_RANGES]
 BY_YAW = {
     "dataset": "",
     "contestant": "",
-    "relative to": "",
     **dict.fromkeys([*_YAW_HEADINGS, "mean of the three"], ".4f"),
+    "relative to": "",
 }
 
 _ERRORS_NOTE = (
