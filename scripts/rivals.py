@@ -31,7 +31,7 @@ from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import SQUARE
 
-SCRIPTS = Path(__file__).resolve().parent / "rivals"
+SCRIPTS = Path(__file__).resolve().parent / "rival_programs"
 PINS = {
     "dlib": ("dlib-bin==20.0.1.post1", "opencv-python-headless==4.12.0.88", "face-recognition-models==0.3.0"),
     "mediapipe": ("mediapipe==0.10.21",),
