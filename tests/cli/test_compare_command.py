@@ -65,7 +65,8 @@ def test_a_model_is_measured_as_by_evaluate(
         ("theirs", "exported"),
     ]
     assert float(tests[0]["effect size"]) > 0
-    assert tests[0]["better"] == "mine †"
+    sure = float(tests[0]["signed-rank p (Holm)"]) < 0.05
+    assert tests[0]["better"] == ("mine †" if sure else "neither")
     printed = capsys.readouterr().out
     assert "models start from boxes around the labels, and miss no face" in printed
     assert "bounding square" in printed
