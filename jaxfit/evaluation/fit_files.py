@@ -83,7 +83,7 @@ def fits_format(spec: str) -> tuple[str, Path] | None:
     if Path(spec).is_dir():
         return "pts", Path(spec)
     known = _SUFFIXES.get(Path(spec).suffix.lower())
-    return known and (known, Path(spec))
+    return None if known is None else (known, Path(spec))
 
 
 def read_fits(spec: str) -> FoundFaces:

@@ -31,7 +31,9 @@ class Thumbnails:
         pictures: whether to read them; without, there are only the points.
     """
 
-    def __init__(self, images: Sequence[str | Path], landmarks: Sequence[np.ndarray] | np.ndarray, pictures: bool):
+    def __init__(
+        self, images: Sequence[str | Path] | np.ndarray, landmarks: Sequence[np.ndarray] | np.ndarray, pictures: bool
+    ):
         self._images = images
         self._landmarks = landmarks
         self._pictures = pictures

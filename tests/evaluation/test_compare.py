@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +26,13 @@ PLACES = {
     "d.png": [(5, 5)],
 }
 # How far off the fit of each face is; None: there is none.
-OFF = {("a.png", 0): (3, 4), ("a.png", 1): (0, 1), ("a.png", 2): None, ("b.png", 0): (-6, 8), ("c.png", 0): (0, 0)}
+OFF: dict[tuple[str, int], tuple[int, int] | None] = {
+    ("a.png", 0): (3, 4),
+    ("a.png", 1): (0, 1),
+    ("a.png", 2): None,
+    ("b.png", 0): (-6, 8),
+    ("c.png", 0): (0, 0),
+}
 OFF |= {("c.png", 1): (5, 0), ("d.png", 0): None}
 POSES = {face: (5.0 * n, -10.0 + n, 20.0 - 8 * n) for n, face in enumerate(OFF)}
 
@@ -116,7 +123,7 @@ def mediapipe_shape() -> np.ndarray:
     return shape
 
 
-def compared(labels: str, *contestants: str, **run: object) -> Comparison:
+def compared(labels: str, *contestants: str, **run: Any) -> Comparison:
     (found,) = plan_comparison(read_contestants(contestants), [labels], EvaluationRun(**run)).compare()
     return found
 
@@ -190,7 +197,7 @@ def test_poses_alone_are_measured_too(tmp_path: Path, labels: str, order: str, b
     for (name, number), off in OFF.items():
         if off is not None:
             pose = np.array([POSES[name, number]])
-            given = in_order(pose, [order])[0] if order == "roll-yaw-pitch" else pose[0]
+            given = in_order(pose, ["roll-yaw-pitch"])[0] if order == "roll-yaw-pitch" else pose[0]
             box = [PLACES[name][number][0] - 10, PLACES[name][number][1] - 10, 130, 130] * boxed
             rows.append(",".join(map(str, [name, *given + [0, 0, 2], order, *box])))
     (tmp_path / "poses.csv").write_text("\n".join([",".join(header), *rows]))

@@ -2,6 +2,7 @@
 
 import json
 from itertools import combinations, product
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -331,7 +332,7 @@ def test_all_intervals_hold_what_the_summary_says() -> None:
 
 @pytest.mark.parametrize("alternative", ["two-sided", "less"])
 @pytest.mark.parametrize("count", [4, 7])
-def test_ties_of_few_pairs_are_tested_as_by_scipy(count: int, alternative: str) -> None:
+def test_ties_of_few_pairs_are_tested_as_by_scipy(count: int, alternative: Literal["two-sided", "less"]) -> None:
     rng = np.random.default_rng(count)
     a = rng.integers(0, 9, count).astype(float)
     b = a + rng.choice([-2, -1, 1, 1, 2], count)

@@ -51,13 +51,14 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
 
 def test_tables_say_who_is_better_and_how_sure_that_is(compared: Comparison) -> None:
     tables = {table.name: table for table in comparison_tables([compared])}
+    rows_of: dict[str, Any] = {name: table.rows for name, table in tables.items()}
     assert list(tables) == ["errors", "intervals", "tests", "by-yaw", "poses", "pose-tests"]
-    errors = {str(row["contestant"]): row for row in tables["errors"].rows}
+    errors = {str(row["contestant"]): row for row in rows_of["errors"]}
     assert [row["no fit"] for row in errors.values()] == [0, 0, PEOPLE * EACH - 4]
     assert {row["relative to"] for row in errors.values()} == {"√(width × height) of the bounding box"}
     shared = np.isfinite(compared.errors["none"])
     assert errors["bad"]["mean of shared"] == pytest.approx(compared.errors["bad"][shared].mean())
-    rows = tables["tests"].rows
+    rows = rows_of["tests"]
     expected = [
         signed_rank(compared.errors[row["second"]], compared.errors[row["first"]], compared.subjects) for row in rows
     ]
@@ -65,11 +66,11 @@ def test_tables_say_who_is_better_and_how_sure_that_is(compared: Comparison) -> 
     np.testing.assert_allclose([row["signed-rank p (Holm)"] for row in rows], holm(np.array(expected)))
     assert [row["better"] for row in rows] == ["good", "good", "bad"]
     assert rows[0]["effect size"] == rank_biserial(compared.errors["bad"], compared.errors["good"], compared.subjects)
-    means = tables["by-yaw"].rows[0]
+    means = rows_of["by-yaw"][0]
     yaws = np.abs(compared.true_pose[:, 2])
     assert means["0 to 30°"] == pytest.approx(compared.errors["good"][yaws <= 30].mean())
     assert means["60 to 90°"] is None or np.isnan(means["60 to 90°"])
-    for row in tables["poses"].rows:
+    for row in rows_of["poses"]:
         assert row["MAE from"] < row["MAE"] < row["MAE to"] or row["faces"] - row["no fit"] < 2
     for table in tables.values():
         assert all({*row} <= {*table.columns} for row in table.rows)

@@ -183,8 +183,9 @@ def _wide(
         box = None
     scale = given_scale(_number(row, "scale"), where, problems) if "scale" in row else None
     pose = np.array([_number(row, angle) for angle in ANGLES]) if posed else None
-    order = row.get(_ORDER, "").strip() or DEFAULT_ORDER
-    if pose is not None and order not in get_args(PoseOrder):
+    orders: dict[str, PoseOrder] = {order: order for order in get_args(PoseOrder)} | {"": DEFAULT_ORDER}
+    order = row.get(_ORDER, "").strip() if posed else ""
+    if order not in orders:
         raise DatasetError(f"expected a {_ORDER} of {' or '.join(get_args(PoseOrder))}; got {order[:80]!r}")
     return Annotation(
         where,
@@ -196,7 +197,7 @@ def _wide(
         scale=scale,
         subject=row.get("subject", "").strip(),
         pose=None if pose is None or np.isnan(pose).all() else pose,
-        pose_order=order if pose is not None else DEFAULT_ORDER,
+        pose_order=orders[order],
     )
 
 
