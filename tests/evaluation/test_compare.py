@@ -42,7 +42,7 @@ def shape_of_face(count: int = 68) -> np.ndarray:
     points = np.random.default_rng(0).uniform(0, 100, (count, 2))
     points[:2] = [0, 0], [100, 100]
     if count == IBUG68.count:
-        points[list(IBUG68.outer_eyes)] = [25, 40], [75, 40]
+        points[[36, 45]] = [25, 40], [75, 40]
     return points
 
 
