@@ -25,6 +25,7 @@ _CONSTANTS = {  # they have no docstrings
     "FORMATS": "How each format of labelled faces is read, by name",
     "METHODS": "The methods that can be trained, by name",
     "NORMALISERS": "The lengths that errors can be relative to",
+    "PROTOCOLS": "Published protocols of comparisons, by name",
     "SCHEMES": "The landmark schemes, by name",
 }
 _ABOUT = """Made from the docstrings by `python scripts/build_api.py`: first what most people need, then each namespace.

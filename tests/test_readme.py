@@ -140,6 +140,7 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "tracked/faces.csv",
         "tracked/overlay.webm",
         "results-3d/report.json",
+        "compared/report.html",
         "runs/report/report.html",
         "wings/wings.xml",
         "fitted/keypoints.json",

@@ -182,7 +182,7 @@ def _row(spec: str, result: Evaluation) -> dict[str, object]:
     return {
         "dataset": spec,
         "relative to": NORMALISERS[result.normaliser].title,
-        **summary_row(result.errors, learned=result.learned),
+        **summary_row(result.errors, [face.subject for face in result.faces], result.learned),
         _ERROR_3D: median_3d,
         "ms/face": result.seconds_per_face * 1000,
     }

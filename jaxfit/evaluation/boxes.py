@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxfit.data.boxes import GivenBox, bounding_square, box_centre, boxes_of_pictures, jitter
+from jaxfit.data.boxes import UNKNOWN_BOX, GivenBox, bounding_square, box_centre, boxes_of_pictures, jitter
 from jaxfit.data.detectors import Detection, Detector, best_match
 from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.errors import InputError
@@ -15,8 +15,6 @@ from jaxfit.labels.records import FaceRecord
 from jaxfit.models.model import SQUARE
 from jaxfit.processes import exchanged, share_of
 from jaxfit.types import Progress, silent
-
-_NO_BOX = np.full(4, np.nan)
 
 
 def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
@@ -34,7 +32,7 @@ def start_boxes(faces: Sequence[FaceRecord], seed: int = 0) -> np.ndarray:
     boxes = []
     for face in faces:
         rng = np.random.default_rng([seed, zlib.crc32(face.face.encode())])
-        own = _NO_BOX if face.box is None else face.box
+        own = UNKNOWN_BOX if face.box is None else face.box
         boxes.append(jitter(bounding_square(face.landmarks), rng) if face.present.any() else own)
     return np.array(boxes).reshape(-1, 4)
 
@@ -68,7 +66,7 @@ def detected_boxes(
         for picture, box, kind, rotation in zip(*part, strict=True):
             in_pictures[picture].append(Detection(np.array(box), kind, rotation))
     rotations = np.zeros(len(faces))
-    boxes, kinds = np.tile(_NO_BOX, (len(faces), 1)), [SQUARE] * len(faces)
+    boxes, kinds = np.tile(UNKNOWN_BOX, (len(faces), 1)), [SQUARE] * len(faces)
     for number, face in enumerate(faces):
         if not face.present.any():
             continue
@@ -104,7 +102,7 @@ def share_boxes(
     faces: Sequence[FaceRecord], of_pictures: Mapping[Path, Sequence[GivenBox]]
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """What `match_boxes` gives, from the boxes of each picture."""
-    boxes, rotations = np.tile(_NO_BOX, (len(faces), 1)), np.zeros(len(faces))
+    boxes, rotations = np.tile(UNKNOWN_BOX, (len(faces), 1)), np.zeros(len(faces))
     kinds = [SQUARE] * len(faces)
     pictures: dict[Path, list[int]] = {}
     for number, face in enumerate(faces):

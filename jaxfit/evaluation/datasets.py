@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from math import isfinite, isnan
 from pathlib import Path
 from typing import Any
@@ -16,12 +17,12 @@ from jaxfit.errors import InputError
 from jaxfit.evaluation.boxes import detected_boxes, share_boxes, start_boxes
 from jaxfit.evaluation.evaluate import Evaluation, fit_labelled, measure, require_measurable
 from jaxfit.evaluation.pose import pose_report
-from jaxfit.evaluation.statistics import summarise
+from jaxfit.evaluation.statistics import intervals, summarise
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine, require_refinable
 from jaxfit.labels.datasets import convert_dataset, parse_spec, read_datasets
-from jaxfit.labels.records import Dataset
+from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.schemes.conversions import convertible
 from jaxfit.schemes.known import NO_LANDMARKS, SCHEMES
@@ -80,6 +81,46 @@ class PlannedDataset:
 
 
 @dataclass(frozen=True)
+class StartBoxes:
+    """Where fits of labelled faces start, whatever fits them.
+
+    Attributes:
+        seed: of how the squares around the true landmarks are moved, where neither of the next two is there.
+        given: the boxes of each picture, of a file; or None.
+        detector: finds the faces; or None.
+        kinds: what draws the boxes, in words; empty where it depends on the dataset.
+        rough: whether they are rough, as `Detector` says.
+        unused: names of pictures in the file of boxes that no dataset has.
+    """
+
+    seed: int
+    given: Mapping[Path, Sequence[GivenBox]] | None
+    detector: Detector | None
+    kinds: str
+    rough: bool
+    unused: tuple[str, ...]
+
+    def of(
+        self, faces: Sequence[FaceRecord], kind: str, progress: Progress = silent
+    ) -> tuple[np.ndarray, str | list[str], np.ndarray | None]:
+        """The boxes (N, 4) of labelled faces, their kinds, ``kind`` if nothing else is known, and their rotations."""
+        if self.detector is not None:
+            return detected_boxes(faces, self.detector, progress=progress)
+        if self.given is not None:
+            return share_boxes(faces, self.given)
+        return start_boxes(faces, self.seed), kind, None
+
+    def kind_for(self, model: Model, dataset: Dataset, notes: list[str]) -> str:
+        """The kind of the boxes that fits of a dataset start from, for reports; of files all kinds, in words."""
+        return self.kinds or _start_kind(model, dataset, notes)
+
+    def pipeline(self, model: Model, fitting: Fitting) -> Pipeline:
+        """How a model fits faces in these boxes."""
+        in_boxes = replace(fitting, detector=None, search=Search())
+        return in_boxes.pipeline_in_boxes(model, self.rough, read_grey)
+
+
+@dataclass(frozen=True)
 class EvaluationPlan:
     """An evaluation that is known to be possible; `evaluate` does it.
 
@@ -87,17 +128,20 @@ class EvaluationPlan:
         run: what was asked for.
         pipeline: how faces are fitted in their boxes.
         datasets: what is measured on.
-        unused: names of pictures in the file of boxes that no dataset has.
+        starts: where the fits start.
         notes: what was decided, such as conversions of labels, a sentence each.
     """
 
     run: EvaluationRun
     pipeline: Pipeline
     datasets: tuple[PlannedDataset, ...]
-    unused: tuple[str, ...]
+    starts: StartBoxes
     notes: tuple[str, ...]
-    _boxes: Mapping[Path, Sequence[GivenBox]] | None
-    _detector: Detector | None
+
+    @property
+    def unused(self) -> tuple[str, ...]:
+        """Names of pictures in the file of boxes that no dataset has."""
+        return self.starts.unused
 
     def evaluate(self, progress: Progress = silent) -> dict[str, Evaluation]:
         """The evaluations, by the datasets' specs.
@@ -113,14 +157,7 @@ class EvaluationPlan:
 
     def _evaluated(self, planned: PlannedDataset, progress: Progress) -> Evaluation:
         faces, model = planned.dataset.faces, self.pipeline.model
-        kinds: str | list[str] = planned.box_kind
-        rotations: np.ndarray | None = None
-        if self._detector is not None:
-            boxes, kinds, rotations = detected_boxes(faces, self._detector, progress=progress)
-        elif self._boxes is not None:
-            boxes, kinds, rotations = share_boxes(faces, self._boxes)
-        else:
-            boxes = start_boxes(faces, self.run.seed)
+        boxes, kinds, rotations = self.starts.of(faces, planned.box_kind, progress)
         fits, seconds, learned = fit_labelled(
             self.pipeline, faces, boxes, kind=kinds, rotations=rotations, progress=progress
         )
@@ -154,40 +191,57 @@ def plan_evaluation(model: Model, specs: Sequence[str], run: EvaluationRun = Eva
     notes: list[str] = []
     datasets = read_datasets(specs, run.scheme)
     if run.scheme is None:
-        datasets = [_for_model(model, dataset, notes) for dataset in datasets]
+        datasets = [for_model(model, dataset, notes) for dataset in datasets]
     schemes = [_measured_scheme(model, dataset) for dataset in datasets]
     for dataset, scheme in zip(datasets, schemes, strict=True):
         require_measurable(model.scheme, scheme, run.normaliser, dataset.faces)
-    named = read_known_boxes(run.boxes, run.box_kind, model)
+    starts = plan_starts(run, [model], datasets)
+    planned = tuple(
+        PlannedDataset(dataset, scheme, starts.kind_for(model, dataset, notes))
+        for dataset, scheme in zip(datasets, schemes, strict=True)
+    )
+    return EvaluationPlan(run, starts.pipeline(model, run.fitting), planned, starts, tuple(notes))
+
+
+def plan_starts(run: EvaluationRun, models: Sequence[Model], datasets: Sequence[Dataset]) -> StartBoxes:
+    """Where the fits of some models start on datasets, as a run asks for it.
+
+    Raises:
+        InputError: an unknown detector or kind of box, a wrong file of boxes, both boxes and a detector, a search
+            without a detector, or a model with nothing to refine.
+    """
     fitting = run.fitting
-    if named is not None:
+    if run.boxes is not None:
         fitting.require_given_boxes()
     if fitting.detector is None and fitting.search != Search():
         raise InputError(
             "expected a detector with smallest, score or any rotation, which say how it looks for faces; got none: "
             "name it, or leave these out"
         )
-    if run.refine:
-        require_refinable(model)
-    boxes, unused = (None, []) if named is None else _boxes_of_pictures(run.boxes, named, datasets)
+    named = None
+    for model in models:
+        named = read_known_boxes(run.boxes, run.box_kind, model)
+        if run.refine:
+            require_refinable(model)
     if fitting.detector is not None:
         detector = fitting.finder()
-        for kind in detector.kinds:  # before any picture is searched
+        for model, kind in product(models, detector.kinds):  # before any picture is searched
             model.placement(kind)
-        of_boxes = fitting.detector if isinstance(fitting.detector, str) else ", ".join(detector.kinds)
-        rough = detector.rough
-    elif named is not None:
-        kinds = {box.kind for several in named.values() for box in several}
-        detector, of_boxes, rough = None, ", ".join(sorted(kinds)) or SQUARE, all_rough(kinds)
-    else:
-        detector, of_boxes, rough = None, "", False
-    in_boxes = replace(fitting, detector=None, search=Search())
-    planned = tuple(
-        PlannedDataset(dataset, scheme, of_boxes or _start_kind(model, dataset, notes))
-        for dataset, scheme in zip(datasets, schemes, strict=True)
-    )
-    pipeline = in_boxes.pipeline_in_boxes(model, rough, read_grey)
-    return EvaluationPlan(run, pipeline, planned, tuple(unused), tuple(notes), boxes, detector)
+        kinds = fitting.detector if isinstance(fitting.detector, str) else ", ".join(detector.kinds)
+        return StartBoxes(run.seed, None, detector, kinds, detector.rough, ())
+    if named is not None:
+        boxes, unused = _boxes_of_pictures(run.boxes, named, datasets)
+        drawn_by = {box.kind for several in named.values() for box in several}
+        return StartBoxes(
+            run.seed, boxes, None, ", ".join(sorted(drawn_by)) or SQUARE, all_rough(drawn_by), tuple(unused)
+        )
+    return StartBoxes(run.seed, None, None, "", False, ())
+
+
+def folders_of(datasets: Sequence[Dataset]) -> list[Path]:
+    """The folders of datasets, which paths in tables may be relative to."""
+    paths = [Path(parse_spec(dataset.spec)[2]) for dataset in datasets]
+    return [path if path.is_dir() else path.parent for path in paths]
 
 
 def _boxes_of_pictures(
@@ -195,15 +249,14 @@ def _boxes_of_pictures(
 ) -> tuple[dict[Path, list[GivenBox]], list[str]]:
     """The boxes of a file by picture, and the names that no picture has; a name in the file must not mean pictures of
     two datasets either."""
-    paths = [Path(parse_spec(dataset.spec)[2]) for dataset in datasets]
-    folders = [path if path.is_dir() else path.parent for path in (Path(file or "").parent, *paths)]
+    folders = [Path(file or "").parent, *folders_of(datasets)]
     try:
         return boxes_of_pictures(named, [face.image for dataset in datasets for face in dataset.faces], folders)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
 
 
-def _for_model(model: Model, dataset: Dataset, notes: list[str]) -> Dataset:
+def for_model(model: Model, dataset: Dataset, notes: list[str]) -> Dataset:
     """The dataset in the model's landmark scheme where its labels can be converted, which is noted; else as it is."""
     if not convertible(dataset.scheme, model.scheme):
         return dataset
@@ -232,11 +285,13 @@ def _start_kind(model: Model, dataset: Dataset, notes: list[str]) -> str:
 
 def evaluation_report(result: Evaluation) -> dict[str, Any]:
     """An evaluation's part of ``report.json``, as JSON values; ``ci95`` is half the width of the mean's 95 % confidence
-    interval."""
+    interval, ``intervals`` are bootstrap intervals, both by subject."""
     seconds = result.seconds_per_face
     fitted = int(result.fits.fitted.sum())
+    subjects = [face.subject for face in result.faces]
     return {
-        **summarise(result.errors).as_json(),
+        **summarise(result.errors, subjects=subjects).as_json(),
+        "intervals": intervals(result.errors, subjects=subjects).as_json(),
         "fitted": fitted,
         "undetected": len(result.faces) - fitted,
         "learned_from": None if result.learned is None else int(result.learned.sum()),

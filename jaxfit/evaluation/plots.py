@@ -15,7 +15,7 @@ from jaxfit.descriptors.sift import BINS, CELLS, Sift
 from jaxfit.errors import InputError
 from jaxfit.evaluation.calibration import Reliability
 from jaxfit.evaluation.curves import LIMIT, auc, ced
-from jaxfit.evaluation.pose import PoseGrid
+from jaxfit.evaluation.pose import YAW_MIDDLES, PoseGrid, medians_by_yaw
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.shapes.space import rotate
@@ -61,6 +61,38 @@ def plot_ced(
     ax.grid(alpha=0.3)
     if curves:
         ax.legend(loc="lower right")
+    return ax
+
+
+def plot_by_yaw(
+    errors_by_name: dict[str, np.ndarray],
+    yaws: np.ndarray,
+    ax: "matplotlib.axes.Axes | None" = None,
+    error: str = "NMED",
+) -> "matplotlib.axes.Axes":
+    """Median errors over true yaw, of 15 degrees each; where most faces have no fit, the curve has a gap.
+
+    Args:
+        errors_by_name: (N,) errors of each method; ``inf`` is a failed fit, NaN is left out.
+        yaws: (N,) true yaws in degrees, NaN where unknown.
+        ax: where to draw; a new figure if None.
+        error: what is measured.
+
+    Returns:
+        The axes drawn on.
+
+    Raises:
+        InputError: matplotlib is missing.
+    """
+    ax = ax if ax is not None else pyplot().subplots()[1]
+    for name, errors in errors_by_name.items():
+        medians = medians_by_yaw(errors, yaws)
+        ax.plot(YAW_MIDDLES, np.where(np.isinf(medians), np.nan, medians), ".-", label=name)
+    ax.set(xlabel="true yaw, degrees", ylabel=f"median {error}", xticks=YAW_MIDDLES[::2])
+    ax.set_ylim(bottom=0.0)
+    ax.grid(alpha=0.3)
+    if errors_by_name:
+        ax.legend()
     return ax
 
 

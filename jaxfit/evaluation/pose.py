@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from jaxfit.errors import InputError
-from jaxfit.evaluation.statistics import Subjects, finite_or_none, summarise
+from jaxfit.evaluation.statistics import Subjects, bootstrap_ci, finite_or_none, summarise
 from jaxfit.evaluation.tables import comparison_row, markdown_table
 from jaxfit.shapes.camera import ANGLES
 from jaxfit.shapes.pose_order import as_poses, as_triples, wrapped_degrees
@@ -136,6 +136,20 @@ def pose_rows(fitted: np.ndarray, truth: np.ndarray, subjects: Subjects = None) 
     return rows
 
 
+def pose_intervals(fitted: np.ndarray, truth: np.ndarray, subjects: Subjects = None) -> list[tuple[float, float]]:
+    """The 95 % bootstrap intervals of the MAE in each of ``pose_rows``, by subject.
+
+    Raises:
+        InputError: the poses are not both (N, 3), or there is not one subject a face.
+    """
+    return [
+        bootstrap_ci(np.where(np.isfinite(column), np.abs(column), np.nan), subjects)
+        for _, errors, summaries in _by_range(fitted, truth, subjects, whole=True)
+        for column, of in zip(errors.T, summaries.values(), strict=True)
+        if of.faces
+    ]
+
+
 def compare_pose(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects = None) -> list[dict[str, object]]:
     """What ``comparison_row`` says of the absolute errors of two methods, for each angle that both could measure.
 
@@ -231,15 +245,20 @@ def pose_grid_table(grid: PoseGrid) -> str:
 
 
 def _by_range(
-    fitted: np.ndarray, truth: np.ndarray, subjects: Subjects
+    fitted: np.ndarray, truth: np.ndarray, subjects: Subjects, whole: bool = False
 ) -> list[tuple[str, np.ndarray, dict[str, AngleSummary]]]:
-    """For each range of true yaw its key, and the errors (M, 3) and summaries of the faces within."""
+    """For each range of true yaw its key, and the errors (M, 3) and summaries of the faces within; ``whole``: (N, 3),
+    NaN of the others."""
     errors = pose_errors(fitted, truth)
     fitted, truth = as_poses(fitted), as_poses(truth)
     frontal = np.abs(wrapped_degrees(truth[:, ANGLES.index("yaw")])) <= _FRONTAL
     masks = (np.ones(len(truth), dtype=bool), frontal)
     return [
-        (key, errors[within], summarise_pose(fitted, np.where(within[:, None], truth, np.nan), subjects))
+        (
+            key,
+            np.where(within[:, None], errors, np.nan) if whole else errors[within],
+            summarise_pose(fitted, np.where(within[:, None], truth, np.nan), subjects),
+        )
         for key, within in zip(_RANGE_LABELS, masks, strict=True)
     ]
 
@@ -273,3 +292,33 @@ def _bins(values: np.ndarray, centres: np.ndarray | None) -> tuple[np.ndarray, n
     if not (centres.size and np.isfinite(centres).all()):
         raise InputError(f"a pose grid needs at least one pitch and one yaw, all finite; got {centres}")
     return centres, np.searchsorted((centres[1:] + centres[:-1]) / 2, values)
+
+
+# Middles of ranges of true yaw, 15 degrees wide, for curves of errors.
+YAW_MIDDLES = np.arange(-90.0, 91.0, 15.0)
+# The ranges of |yaw| that tables of AFLW2000-3D have, degrees: above the first, up to the second.
+YAW_RANGES = ((-1.0, 30.0), (30.0, 60.0), (60.0, 90.0))
+
+
+def medians_by_yaw(errors: np.ndarray, yaws: np.ndarray, least: int = 5) -> np.ndarray:
+    """The median errors (13,) of the faces nearest to each of ``YAW_MIDDLES``; failures count; NaN of fewer than
+    ``least`` faces.
+
+    Args:
+        errors: (N,) errors, ``inf`` where there is no fit, NaN where none can be measured.
+        yaws: (N,) true yaws in degrees, NaN where unknown.
+        least: how many faces a median needs.
+    """
+    nearest = np.round((np.nan_to_num(yaws, nan=999.0) + 90.0) / 15.0)
+    some = (errors[(nearest == place) & ~np.isnan(errors)] for place in range(len(YAW_MIDDLES)))
+    return np.array([np.median(each) if len(each) >= least else np.nan for each in some])
+
+
+def means_by_yaw(errors: np.ndarray, yaws: np.ndarray) -> list[float]:
+    """The mean errors of fitted faces in each of ``YAW_RANGES`` of |yaw|, NaN without any, and the mean of these."""
+    turned = np.abs(yaws)
+    means = []
+    for low, high in YAW_RANGES:
+        within = errors[(turned > low) & (turned <= high) & np.isfinite(errors)]
+        means.append(float(within.mean()) if len(within) else math.nan)
+    return [*means, float(np.mean(means))]

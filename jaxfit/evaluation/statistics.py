@@ -1,7 +1,7 @@
 """Summaries of errors over a set of faces, how sure they are, and tests of whether methods differ (section 5)."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +17,7 @@ Subjects = Sequence[str] | np.ndarray | None
 # Draws of the bootstrap that are held in memory at once, with what is drawn some 25 MB.
 _DRAWS = 2**20
 SAMPLES = 2000
+_ALL_SIGNS = 13  # pairs with equal differences up to which the signed-rank test goes through all signs, as SciPy does
 
 
 @dataclass(frozen=True)
@@ -130,20 +131,51 @@ def signed_rank(
     Raises:
         InputError: the samples are not vectors of one length, or there is not one subject a face.
     """
+    ranks = _signed_ranks(a, b, subjects)
+    if ranks is None or not len(ranks):
+        return math.nan if ranks is None else 1.0
+    if len(ranks) <= _ALL_SIGNS and len(np.unique(np.abs(ranks))) < len(ranks):
+        return _exact_p(ranks, alternative)
+    return float(scipy.stats.wilcoxon(ranks, alternative=alternative).pvalue)
+
+
+def _exact_p(ranks: np.ndarray, alternative: str) -> float:
+    """What SciPy finds, too, but in seconds: the p-value of signed ranks (M,) among all signs that they may have."""
+    signs = np.arange(2 ** len(ranks))[:, None] >> np.arange(len(ranks)) & 1
+    sums, own = signs @ np.abs(ranks), ranks[ranks > 0].sum()
+    less, more = float((sums <= own).mean()), float((sums >= own).mean())
+    return less if alternative == "less" else min(1.0, 2 * min(less, more))
+
+
+def rank_biserial(a: np.ndarray, b: np.ndarray, subjects: Subjects = None) -> float:
+    """The effect size that belongs to `signed_rank`, of errors (N,) of the same faces: the matched-pairs rank-biserial
+    correlation (Kerby, 2014).
+
+    It is the share of the ranks that speak for the first errors being larger less that of those that speak against it:
+    1 if they are larger in all pairs, -1 if they are smaller in all, 0 if neither, or all are equal; NaN without pairs.
+
+    Raises:
+        InputError: as `signed_rank`.
+    """
+    ranks = _signed_ranks(a, b, subjects)
+    if ranks is None or not len(ranks):
+        return math.nan if ranks is None else 0.0
+    return float(ranks.sum() / np.abs(ranks).sum())
+
+
+def _signed_ranks(a: np.ndarray, b: np.ndarray, subjects: Subjects) -> np.ndarray | None:
+    """The ranks (M,) of the differences of the pairs that differ, with their signs; None if there is no pair."""
     a, b = _paired(a, b)
     unmeasured = np.isnan(a) | np.isnan(b)
     if unmeasured.all():
-        return math.nan
+        return None
     if subjects is not None:
         silent = unmeasured | (np.isinf(a) & np.isinf(b))
         a, b = (subject_means(np.where(silent, np.nan, errors), subjects) for errors in (a, b))
     differs = ~(np.isnan(a) | np.isnan(b)) & (a != b)
-    if not differs.any():
-        return 1.0
     difference = a[differs] - b[differs]
-    # The test sees signed ranks only; ranking here keeps infinities out of its arithmetic.
-    ranks = np.sign(difference) * scipy.stats.rankdata(np.abs(difference))
-    return float(scipy.stats.wilcoxon(ranks, alternative=alternative).pvalue)
+    # Ranks keep infinities out of the arithmetic of tests.
+    return np.asarray(np.sign(difference) * scipy.stats.rankdata(np.abs(difference)))
 
 
 def subject_means(errors: np.ndarray, subjects: Subjects) -> np.ndarray:
@@ -230,27 +262,78 @@ def bootstrap_ci(
     if values.ndim != 1 or np.isinf(values).any():
         raise InputError(
             f"expected one finite number a face, (faces,), or NaN to leave it out; got {values.shape} with "
-            f"{int(np.isinf(values).sum())} infinite: of errors, take auc_ci and failure_ci"
+            f"{int(np.isinf(values).sum())} infinite: of errors, take median_ci, auc_ci and failure_ci"
         )
     known = ~np.isnan(values)
     values, owners = values[known], _owners(subjects, known)
+    faces, totals = np.bincount(owners), np.bincount(owners, values)
+    return _percentiles(
+        lambda drawn: totals[drawn].sum(axis=1) / faces[drawn].sum(axis=1),
+        (len(faces), len(faces)),
+        (confidence, samples, seed),
+    )
+
+
+def _percentiles(
+    statistic: Callable[[np.ndarray], np.ndarray], sizes: tuple[int, int], how: tuple[float, int, int]
+) -> tuple[float, float]:
+    """The percentile bootstrap interval of a statistic of drawn subjects (samples, S), as (samples,) values.
+
+    Args:
+        statistic: of the numbers of the subjects that were drawn.
+        sizes: how many subjects there are, and how many numbers a sample takes in memory.
+        how: confidence, samples and seed.
+    """
+    (subjects, size), (confidence, samples, seed) = sizes, how
     if not (0 < confidence < 1 and samples >= 1 and seed >= 0):
         raise InputError(
             "expected 0 < confidence < 1, at least one sample and a seed of 0 or more; got "
             f"{confidence}, {samples} and {seed}"
         )
-    faces = np.bincount(owners)
-    if len(faces) < 2:
+    if subjects < 2:
         return math.nan, math.nan
-    totals = np.bincount(owners, values)
     rng = np.random.default_rng(seed)
-    means = np.empty(samples)
-    at_once = max(1, _DRAWS // len(faces))
+    values = np.empty(samples)
+    at_once = max(1, _DRAWS // size)
     for first in range(0, samples, at_once):
-        drawn = rng.integers(len(faces), size=(min(at_once, samples - first), len(faces)))
-        means[first : first + at_once] = totals[drawn].sum(axis=1) / faces[drawn].sum(axis=1)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+        drawn = rng.integers(subjects, size=(min(at_once, samples - first), subjects))
+        values[first : first + at_once] = statistic(drawn)
+    # Of infinite values, the nearest one: between two there is nothing.
+    method: Literal["linear", "nearest"] = "linear" if np.isfinite(values).all() else "nearest"
+    low, high = np.quantile(values, [(1 - confidence) / 2, (1 + confidence) / 2], method=method)
     return float(low), float(high)
+
+
+def median_ci(
+    errors: np.ndarray,
+    subjects: Subjects = None,
+    *,
+    confidence: float = 0.95,
+    samples: int = SAMPLES,
+    seed: int = 0,
+) -> tuple[float, float]:
+    """Confidence interval of the median of errors (N,), in which ``inf`` is the worst of errors; see ``bootstrap_ci``
+    for the arguments.
+
+    Raises:
+        InputError: the errors are not a vector, or see ``bootstrap_ci``.
+    """
+    values = measurable(errors)
+    owners = _owners(subjects, ~np.isnan(errors))
+    order = np.argsort(values, kind="stable")
+    ascending, owner = values[order], owners[order]
+    subjects_drawn = len(np.bincount(owners))
+
+    def medians(drawn: np.ndarray) -> np.ndarray:
+        rows = np.arange(len(drawn))[:, None]
+        times = np.bincount((rows * subjects_drawn + drawn).ravel(), minlength=len(drawn) * subjects_drawn)
+        # How many of the drawn faces are up to each one: the middle ones of the sample are found there.
+        up_to = times.reshape(len(drawn), -1)[:, owner].cumsum(axis=1)
+        below, above = (up_to[:, -1] - 1) // 2, up_to[:, -1] // 2
+        low, high = (ascending[(up_to <= place[:, None]).sum(axis=1)] for place in (below, above))
+        return (low + high) / 2
+
+    return _percentiles(medians, (subjects_drawn, max(len(values), 1)), (confidence, samples, seed))
 
 
 def auc_ci(
@@ -287,6 +370,37 @@ def failure_ci(
         InputError: the errors are not a vector, the limit is not positive, or see ``bootstrap_ci``.
     """
     return bootstrap_ci(failures(errors, limit), subjects, confidence=confidence, samples=samples, seed=seed)
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """95 % bootstrap intervals of what `Summary` says, from the lower to the upper end; NaN below two subjects."""
+
+    mean: tuple[float, float]
+    median: tuple[float, float]
+    auc: tuple[float, float]
+    failure: tuple[float, float]
+
+    def as_json(self, limit: float = LIMIT) -> dict[str, list[float | None]]:
+        """The intervals for a JSON file; None where a number is not finite."""
+        names = ("mean", "median", f"auc_{limit:g}", f"failure_{limit:g}")
+        ends = (self.mean, self.median, self.auc, self.failure)
+        return {name: list(map(finite_or_none, each)) for name, each in zip(names, ends, strict=True)}
+
+
+def intervals(errors: np.ndarray, limit: float = LIMIT, subjects: Subjects = None) -> Intervals:
+    """How sure the numbers of ``summarise(errors, limit, subjects)`` are, for errors (N,); see ``bootstrap_ci``.
+
+    Raises:
+        InputError: as `summarise`.
+    """
+    fitted = np.where(np.isinf(errors), np.nan, errors)
+    return Intervals(
+        bootstrap_ci(fitted, subjects),
+        median_ci(errors, subjects),
+        auc_ci(errors, limit, subjects),
+        failure_ci(errors, limit, subjects),
+    )
 
 
 def finite_or_none(value: float) -> float | None:

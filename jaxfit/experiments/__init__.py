@@ -1,5 +1,6 @@
 """Cross-validated comparisons of methods, on any faces: configuration, tasks that can be resumed, results, report."""
 
+from jaxfit.experiments.comparison import build_comparison, comparison_tables
 from jaxfit.experiments.config import Config, DatasetPlan, MethodPlan, PosePlan, config_from, read_config
 from jaxfit.experiments.experiment import Experiment
 from jaxfit.experiments.figures import plot_fits, plot_grid, plot_starts
@@ -21,7 +22,9 @@ __all__ = [
     "PoseResults",
     "Status",
     "Task",
+    "build_comparison",
     "build_report",
+    "comparison_tables",
     "config_from",
     "experiment_status",
     "plan_tasks",

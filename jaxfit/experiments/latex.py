@@ -29,8 +29,10 @@ _LATEX = {
     "≤": r"$\leq$",
     "≥": r"$\geq$",
     "∞": r"$\infty$",
+    "√": r"$\surd$",
     "σ": r"$\sigma$",
     "→": r"$\rightarrow$",
+    "†": r"$\dagger$",
 }
 
 

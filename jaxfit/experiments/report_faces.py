@@ -1,5 +1,6 @@
 """Faces in a report: the gallery, and a figure from the best fit to the worst."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -15,8 +16,8 @@ from jaxfit.experiments.report_parts import Gallery, GalleryFace, ReportFigure
 from jaxfit.experiments.results import DatasetResults
 from jaxfit.image.frame import Frame
 
-_SIDE = 144  # pixels of a thumbnail
-_FRAME = Frame(_SIDE, _SIDE / 1.7)  # a margin of 0.35 around the labels, in sides of their square
+SIDE = 144  # pixels of a thumbnail
+_FRAME = Frame(SIDE, SIDE / 1.7)  # a margin of 0.35 around the labels, in sides of their square
 _QUALITY = 75
 _IN_2D = "Of 3D alignment the 2D fit is drawn that the head is aligned to; its errors, in 3D, are those of the head."
 
@@ -25,12 +26,16 @@ class Thumbnails:
     """Square pictures of a dataset's faces, and points in their pixels.
 
     Args:
-        dataset: whose faces.
+        images: N paths, of the faces' pictures.
+        landmarks: N arrays (L, 2) of their labels.
         pictures: whether to read them; without, there are only the points.
     """
 
-    def __init__(self, dataset: DatasetResults, pictures: bool):
-        self._dataset = dataset
+    def __init__(
+        self, images: Sequence[str | Path] | np.ndarray, landmarks: Sequence[np.ndarray] | np.ndarray, pictures: bool
+    ):
+        self._images = images
+        self._landmarks = landmarks
         self._pictures = pictures
 
     def picture(self, number: int) -> np.ndarray | None:
@@ -38,7 +43,7 @@ class Thumbnails:
         if not self._pictures:
             return None
         try:
-            rgb = read_image(Path(str(self._dataset.faces["image"][number])))
+            rgb = read_image(Path(str(self._images[number])))
         except ImageError:
             return None
         # Colours come along as a third axis.
@@ -51,7 +56,7 @@ class Thumbnails:
         return to_crop(points, scale, centre - scale * _FRAME.middle)
 
     def _square(self, number: int) -> tuple[np.ndarray, float]:
-        square = bounding_square(self._dataset.faces["landmarks"][number])
+        square = bounding_square(self._landmarks[number])
         return box_centre(square), float(square[2])
 
 
@@ -62,7 +67,7 @@ def fits_figure(
     in_3d = plans[0].in_3d
     errors = dataset.errors(plans[0].name, config)
     numbers = spread_by_rank(errors, most)
-    thumbnails = Thumbnails(dataset, pictures)
+    thumbnails = Thumbnails(dataset.faces["image"], dataset.faces["landmarks"], pictures)
     titles = [f"{errors[number]:.3f}" for number in numbers]
     titles[0], titles[-1] = f"best: {titles[0]}", f"worst: {titles[-1]}"
     truths = [thumbnails.points(number, dataset.faces["landmarks"][number]) for number in numbers]
@@ -74,7 +79,7 @@ def fits_figure(
         for plan in plans
     }
     pictures_of = [thumbnails.picture(number) for number in numbers]
-    figure = plot_fits(pictures_of, truths, fits, titles, dataset.scheme, _SIDE)
+    figure = plot_fits(pictures_of, truths, fits, titles, dataset.scheme, SIDE)
     return ReportFigure(
         f"fits-{dataset.name}-{'3d' if in_3d else '2d'}",
         f"{dataset.name}: from the best to the worst fit of {plans[0].name}",
@@ -88,7 +93,7 @@ def gallery(datasets: tuple[DatasetResults, ...], config: Config, most: int, pic
     faces, unread = [], 0
     for dataset in datasets:
         errors = {plan.name: dataset.errors(plan.name, config) for plan in config.methods}
-        thumbnails = Thumbnails(dataset, pictures)
+        thumbnails = Thumbnails(dataset.faces["image"], dataset.faces["landmarks"], pictures)
         for number in spread_by_rank(next(iter(errors.values())), most):
             picture = thumbnails.picture(number)
             unread += pictures and picture is None
@@ -96,8 +101,8 @@ def gallery(datasets: tuple[DatasetResults, ...], config: Config, most: int, pic
                 GalleryFace(
                     dataset=dataset.name,
                     face=str(dataset.faces["face"][number]),
-                    size=_SIDE,
-                    jpeg=None if picture is None else _jpeg(picture),
+                    size=SIDE,
+                    jpeg=None if picture is None else jpeg_of(picture),
                     truth=thumbnails.points(number, dataset.faces["landmarks"][number]),
                     fits={name: thumbnails.points(number, fits[number]) for name, fits in dataset.fits.items()},
                     errors={name: float(values[number]) for name, values in errors.items()},
@@ -124,5 +129,6 @@ def spread_by_rank(errors: np.ndarray, most: int) -> list[int]:
     return [ranked[place] for place in np.unique(places)]
 
 
-def _jpeg(rgb: np.ndarray) -> bytes:
+def jpeg_of(rgb: np.ndarray) -> bytes:
+    """A picture, uint8 (H, W, 3), as a JPEG."""
     return cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

@@ -15,7 +15,7 @@ from jaxfit.data.inputs import read_text
 from jaxfit.data.names import real_path
 from jaxfit.errors import InputError
 from jaxfit.labels.importers.aflw import read_aflw
-from jaxfit.labels.importers.aflw2000 import read_aflw2000
+from jaxfit.labels.importers.aflw2000 import read_aflw2000, read_aflw2000_again
 from jaxfit.labels.importers.coco import read_coco
 from jaxfit.labels.importers.csv_points import read_csv_points, read_ml_morph
 from jaxfit.labels.importers.imglab import read_imglab
@@ -41,6 +41,7 @@ FORMATS: dict[str, Callable[[Path], Dataset]] = {
     "pointing04": read_pointing04,
     "aflw2000": read_aflw2000,
     "aflw2000-all": partial(read_aflw2000, most_degrees=math.inf),
+    "aflw2000-re": read_aflw2000_again,
     "tps": read_tps,
     "imglab": read_imglab,
     "coco": read_coco,

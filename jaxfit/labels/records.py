@@ -10,7 +10,7 @@ import numpy as np
 from jaxfit.data.names import PathsByEnd
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.schemes.scheme import Scheme
-from jaxfit.shapes.camera import PoseOrder
+from jaxfit.shapes.camera import DEFAULT_ORDER, PoseOrder
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class FaceRecord:
     pose: np.ndarray | None
     subject: str
     face: str
-    pose_order: PoseOrder = "roll-pitch-yaw"
+    pose_order: PoseOrder = DEFAULT_ORDER
     scale: float | None = None
 
     @property

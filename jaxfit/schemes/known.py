@@ -133,10 +133,21 @@ _LOWER_BROWS = ("left_eyebrow_center_bottom", "right_eyebrow_center_bottom")
 LFPW27_NAMES = tuple(name for name in LFPW29_NAMES if name not in _LOWER_BROWS)
 LFPW27 = _without(LFPW29, [LFPW29_NAMES.index(name) for name in _LOWER_BROWS], "lfpw27")
 
+# MediaPipe's face mesh with its ten points of the irises. The pupils are the means of the lids' points that become the
+# 68's, so that errors over their distance are relative to the same length; nothing needs its mirror images.
+MEDIAPIPE478 = Scheme(
+    name="mediapipe478",
+    count=478,
+    outer_eyes=(33, 263),
+    pupils=((33, 160, 158, 155, 153, 144), (382, 385, 387, 263, 373, 380)),
+)
+
 # Faces of which only the box and the pose are known. No model has it, and no option names it.
 NO_LANDMARKS = Scheme(name="none", count=0)
 
 SCHEMES = {scheme.name: scheme for scheme in (AFLW21, LFPW27, LFPW29, IBUG68)}
+# Schemes that only other programs' fits come in: no labels are of them, and no head model has their points.
+FOREIGN = {MEDIAPIPE478.name: MEDIAPIPE478}
 
 
 def scheme_named(name: str) -> Scheme:
@@ -145,8 +156,8 @@ def scheme_named(name: str) -> Scheme:
     Raises:
         InputError: no such scheme.
     """
-    if name in SCHEMES:
-        return SCHEMES[name]
+    if name in SCHEMES or name in FOREIGN:
+        return SCHEMES.get(name) or FOREIGN[name]
     count = name.removeprefix("points")
     if name != count and len(count) < 10 and count.isdecimal() and int(count) > 0:
         return Scheme(name=name, count=int(count))
@@ -158,7 +169,16 @@ def scheme_of_count(count: int) -> Scheme:
 
     LFPW27 is never guessed: it comes from conversions, and 27 points of a file may be any.
     """
-    for scheme in (AFLW21, LFPW29, IBUG68):
+    for scheme in (AFLW21, LFPW29, IBUG68, MEDIAPIPE478):
         if scheme.count == count:
             return scheme
     return Scheme(name=f"points{count}", count=count)
+
+
+def scheme_of_numbered(scheme: Scheme) -> Scheme:
+    """What points that are only numbered mean if they are those of a face: the known scheme of so many, if there is
+    one; any other scheme stays as it is."""
+    known = scheme_of_count(scheme.count)
+    return (
+        known if scheme.name == f"points{scheme.count}" and not scheme.names and known.name != scheme.name else scheme
+    )

@@ -48,11 +48,14 @@ def _centroid_size(points: np.ndarray) -> np.ndarray:
 
 
 # By the names that the command line knows; a new one is a line here. The distance of the outer eye corners is our
-# reading of Eq. 16's inter-ocular distance; the square does not vanish on profile faces.
+# reading of Eq. 16's inter-ocular distance; the square does not vanish on profile faces. Boxes are those around the
+# labelled points, of x and y in 3D too; the square is as large as the longest side, in 3D that of depths included.
 NORMALISERS = {
     "outer": Normaliser("outer eye corners", _outer_corners),
     "pupil": Normaliser("pupil centres", lambda scheme: scheme.pupils),
     "box": Normaliser("bounding square"),
+    "area": Normaliser("√(width × height) of the bounding box", length=lambda points: np.sqrt(_sides(points).prod(-1))),
+    "diagonal": Normaliser("diagonal of the bounding box", length=lambda points: np.hypot.reduce(_sides(points), -1)),
     "size": Normaliser("centroid size", length=_centroid_size),
     "ends": Normaliser("the scheme's pair of points", _own_ends),
 }
@@ -112,7 +115,12 @@ def distance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _square_side(points: np.ndarray) -> np.ndarray:
-    unknown = np.isnan(points)
-    highest = np.where(unknown, -np.inf, points).max(axis=-2)
-    lowest = np.where(unknown, np.inf, points).min(axis=-2)
-    return np.asarray((highest - lowest).max(axis=-1))
+    return np.asarray(_sides(points, points.shape[-1]).max(axis=-1))
+
+
+def _sides(points: np.ndarray, dimensions: int = 2) -> np.ndarray:
+    """The sides (..., dimensions) of the boxes around points (..., L, D); 0 without a point."""
+    unknown = np.isnan(points[..., :dimensions])
+    highest = np.where(unknown, -np.inf, points[..., :dimensions]).max(axis=-2)
+    lowest = np.where(unknown, np.inf, points[..., :dimensions]).min(axis=-2)
+    return np.maximum(highest - lowest, 0.0)

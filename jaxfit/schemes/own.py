@@ -10,6 +10,7 @@ from jaxfit.schemes.known import NO_LANDMARKS, SCHEMES, scheme_named
 from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme, is_name
 
+_WHOLE = ", ".join(f'"{name}"' for name, each in NORMALISERS.items() if each.ends is None)  # lengths of any points
 _KEYS = ("name", "points", "mirror", "lines", "normaliser", "unit", "scale")
 
 
@@ -24,7 +25,7 @@ class OwnScheme:
         mirror: pairs of points that are mirror images of each other, by name or number from 1; all others are their
             own. None: objects are not symmetric, and are not mirrored in training.
         lines: points that overlays join, one after the other; None: those of the labels.
-        normaliser: ``box``, ``size``, or two points; None: that of the labels.
+        normaliser: ``box``, ``area``, ``diagonal``, ``size``, or two points; None: that of the labels.
         unit: of the scale, such as ``mm``.
         scale: the length of a pixel in units, of pictures whose labels do not say it; None: unknown.
     """
@@ -80,7 +81,8 @@ class OwnScheme:
 
 def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
     """The scheme that a table says: ``name``, ``points`` (names, or a number), ``mirror`` (pairs), ``lines``,
-    ``normaliser`` (``"box"``, ``"size"``, or two points), ``unit`` and ``scale``. All may be missing.
+    ``normaliser`` (``"box"``, ``"area"``, ``"diagonal"``, ``"size"``, or two points), ``unit`` and ``scale``. All may
+    be missing.
 
     Raises:
         InputError: there is another key, or a value that is none of these.
@@ -101,7 +103,7 @@ def own_scheme(values: Mapping[str, Any]) -> OwnScheme:
         count = points
     usual = isinstance(normaliser, str) and normaliser in NORMALISERS and NORMALISERS[normaliser].ends is None
     pair = tuple(normaliser) if _are_points(normaliser, 2) else None
-    _require("normaliser", normaliser, normaliser is None or usual or pair is not None, '"box", "size", or two points')
+    _require("normaliser", normaliser, normaliser is None or usual or pair is not None, f"{_WHOLE}, or two points")
     mirror = values.get("mirror")
     if mirror is not None:
         good = isinstance(mirror, list) and all(_are_points(each, 2) for each in mirror)

@@ -20,6 +20,7 @@ ANGLES = ("roll", "pitch", "yaw")  # the columns of poses
 
 # The order in which the three rotations of a pose are applied to the upright head: the first is Eq. 15's.
 PoseOrder = Literal["roll-pitch-yaw", "roll-yaw-pitch"]
+DEFAULT_ORDER: PoseOrder = "roll-pitch-yaw"  # Eq. 15's, which all poses of jaxfit are in
 
 
 class Camera(NamedTuple):

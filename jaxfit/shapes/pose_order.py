@@ -6,18 +6,24 @@ import numpy as np
 import scipy
 
 from jaxfit.errors import InputError
-from jaxfit.shapes.camera import ANGLES, PoseOrder
+from jaxfit.shapes.camera import ANGLES, DEFAULT_ORDER, PoseOrder
 
 
-def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
-    """Poses (N, 3) as jaxfit gives them, in Eq. 15's order, in the orders that the faces' true poses are given in.
+def in_order(poses: np.ndarray, orders: Sequence[PoseOrder], given: Sequence[PoseOrder] | None = None) -> np.ndarray:
+    """Poses (N, 3) of the same heads in other orders, such as those that the faces' true poses are given in.
+
+    Args:
+        poses: roll, pitch and yaw in degrees.
+        orders: N, that they shall be in.
+        given: N, that they are in; None: Eq. 15's, as jaxfit gives them.
 
     Raises:
         InputError: the poses are not (N, 3).
     """
     poses = as_poses(poses).copy()
-    rows = np.flatnonzero(np.isfinite(poses).all(1) & (np.array(orders) == "roll-yaw-pitch"))
-    if len(rows):
+    wanted, own = np.array(orders), np.array([DEFAULT_ORDER] * len(poses) if given is None else given)
+    known = np.isfinite(poses).all(1)
+    if len(rows := np.flatnonzero(known & (own == DEFAULT_ORDER) & (wanted == "roll-yaw-pitch"))):
         roll, pitch, yaw = poses[rows].T
         # About axes that turn with the head; y is down, so that looking up turns against the axis.
         turns = scipy.spatial.transform.Rotation.from_euler("YXZ", np.stack([yaw, -pitch, roll], 1), degrees=True)
@@ -26,6 +32,11 @@ def in_order(poses: np.ndarray, orders: Sequence[PoseOrder]) -> np.ndarray:
         over = np.abs(pitch) > 90
         found = np.stack([roll, pitch, yaw], 1)
         poses[rows] = np.where(over[:, None], wrapped_degrees(np.stack([roll + 180, pitch + 180, 180 - yaw], 1)), found)
+    if len(rows := np.flatnonzero(known & (own == "roll-yaw-pitch") & (wanted == DEFAULT_ORDER))):
+        roll, pitch, yaw = poses[rows].T
+        turns = scipy.spatial.transform.Rotation.from_euler("XYZ", np.stack([-pitch, yaw, roll], 1), degrees=True)
+        yaw, pitch, roll = turns.as_euler("YXZ", degrees=True).T * [[1], [-1], [1]]
+        poses[rows] = np.stack([roll, pitch, yaw], 1)
     return poses
 
 

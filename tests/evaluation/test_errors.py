@@ -24,7 +24,10 @@ def random_faces(seed: int, faces: int = 3, scheme: Scheme = IBUG68) -> np.ndarr
 
 @pytest.mark.parametrize(
     ("normaliser", "length"),
-    [("outer", 10.0), ("pupil", 8.0), ("box", 12.0), ("size", 168.8**0.5), ("ends", 13.0)],
+    [
+        *(("outer", 10.0), ("pupil", 8.0), ("box", 12.0), ("area", 120**0.5), ("diagonal", 244**0.5)),
+        *(("size", 168.8**0.5), ("ends", 13.0)),
+    ],
 )
 def test_nmed_by_hand(normaliser: str, length: float) -> None:
     truth = five_points()
@@ -35,7 +38,10 @@ def test_nmed_by_hand(normaliser: str, length: float) -> None:
     np.testing.assert_allclose(nmed(fitted, truth, FIVE, normaliser), [7.0 / 5.0 / length])
 
 
-@pytest.mark.parametrize(("normaliser", "length"), [("outer", 15.0), ("pupil", 9.0), ("box", 20.0), ("ends", 569**0.5)])
+@pytest.mark.parametrize(
+    ("normaliser", "length"),
+    [("outer", 15.0), ("pupil", 9.0), ("box", 20.0), ("area", 120**0.5), ("diagonal", 244**0.5), ("ends", 569**0.5)],
+)
 def test_nmed_in_3d_by_hand(normaliser: str, length: float) -> None:
     truth = np.array([[[0.0, 0.0, 0.0], [10.0, 10.0, 5.0], [2.0, 2.0, 0.0], [4.0, 4.0, 1.0], [5.0, 12.0, 20.0]]])
     fitted = truth.copy()
@@ -60,7 +66,7 @@ def test_the_default_is_the_outer_eye_corners() -> None:
 
 
 def test_every_normaliser_has_a_title() -> None:
-    assert tuple(NORMALISERS) == ("outer", "pupil", "box", "size", "ends")
+    assert tuple(NORMALISERS) == ("outer", "pupil", "box", "area", "diagonal", "size", "ends")
     assert all(normaliser.title for normaliser in NORMALISERS.values())
 
 
@@ -129,7 +135,8 @@ def test_a_fit_that_ran_away_is_no_warning() -> None:
 
 
 @pytest.mark.parametrize(
-    ("normaliser", "unknown"), [("outer", 1), ("pupil", 3), ("box", slice(None)), ("size", slice(None)), ("ends", 4)]
+    ("normaliser", "unknown"),
+    [("outer", 1), ("pupil", 3), ("ends", 4), *((name, slice(None)) for name in ("box", "area", "diagonal", "size"))],
 )
 def test_without_its_normaliser_a_face_is_unmeasurable_whatever_the_fit(normaliser: str, unknown: int | slice) -> None:
     truth = np.repeat(five_points(), 2, axis=0)

@@ -16,15 +16,20 @@ from scipy.spatial.transform import Rotation
 from jaxfit.errors import InputError
 from jaxfit.evaluation.pose import (
     POSE_COLUMNS,
+    YAW_MIDDLES,
     compare_pose,
     grid_centres,
+    means_by_yaw,
+    medians_by_yaw,
     pose_errors,
     pose_grid,
     pose_grid_table,
+    pose_intervals,
     pose_report,
     pose_rows,
     summarise_pose,
 )
+from jaxfit.evaluation.statistics import bootstrap_ci
 from jaxfit.evaluation.tables import comparison_row, markdown_table, text_table
 from jaxfit.shapes.camera import ANGLES
 from jaxfit.shapes.pose_order import in_order
@@ -395,3 +400,33 @@ def test_table_of_a_grid() -> None:
         "| 0 | - | 0.1 |",
         "| 90 | - | - |",
     ]
+
+
+def test_intervals_of_poses_are_those_of_their_errors() -> None:
+    rng = np.random.default_rng(0)
+    truth = np.stack([rng.uniform(-20, 20, 60), rng.uniform(-20, 20, 60), np.linspace(-80, 80, 60)], 1)
+    fitted = truth + rng.normal(0, 5, (60, 3))
+    fitted[::9] = np.nan
+    people = [f"person {number % 20}" for number in range(60)]
+    rows, ends = pose_rows(fitted, truth, people), pose_intervals(fitted, truth, people)
+    assert len(rows) == len(ends) == 6
+    for row, (low, high) in zip(rows, ends, strict=True):
+        within = np.abs(truth[:, 2]) <= (45 if "45" in str(row["range"]) else 90)
+        off = np.abs(fitted - truth)[:, ("roll", "pitch", "yaw").index(str(row["angle"]))]
+        assert (low, high) == pytest.approx(bootstrap_ci(np.where(within, off, np.nan), people))
+        assert low < row["MAE"] < high
+
+
+def test_errors_by_yaw_are_of_the_faces_there() -> None:
+    yaws = np.array([-88.0, -80, 0, 2, -3, 1, 4, 28, 31, 60, 61, 120, np.nan])
+    errors = np.array([5.0, 7, 1, 2, np.inf, np.inf, np.inf, 3, 4, 6, np.nan, 9, 9])
+    medians = medians_by_yaw(errors, yaws, least=2)
+    middles = dict(zip(YAW_MIDDLES.tolist(), medians.tolist(), strict=True))
+    assert np.isnan(middles[-90])  # one is too few
+    assert np.isnan(middles[-75])
+    assert middles[0] == np.inf  # most have no fit
+    assert middles[30] == 3.5
+    means = means_by_yaw(errors, yaws)
+    np.testing.assert_allclose(means[:3], [2, 5, 6])  # of fitted faces, up to 30, 60 and 90
+    assert means[3] == pytest.approx(np.mean(means[:3]))
+    assert np.isnan(means_by_yaw(errors, np.zeros(13))[3])

@@ -2,6 +2,7 @@
 
 import json
 from itertools import combinations, product
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from jaxfit.evaluation.statistics import (
     bootstrap_ci,
     failure_ci,
     holm,
+    intervals,
+    median_ci,
+    rank_biserial,
     rank_sum,
     relative_difference,
     signed_rank,
@@ -280,6 +284,81 @@ def test_intervals_of_subjects_cover_the_truth_and_those_of_faces_do_not() -> No
     of_subjects, of_faces = covered / 200
     assert 0.9 <= of_subjects <= 0.98
     assert of_faces < 0.75
+
+
+def test_intervals_of_medians_are_scipys() -> None:
+    values = lognormal_errors(6, 61)
+    for count in (60, 61):  # with two middle faces, and with one
+        expected = stats.bootstrap((values[:count],), np.median, n_resamples=500, method="percentile", rng=0)
+        assert median_ci(values[:count], samples=500) == pytest.approx(expected.confidence_interval)
+
+
+def test_intervals_of_medians_draw_people_with_all_their_faces() -> None:
+    errors, owners = clustered_errors(7, 12, 5)
+    errors[:3] = np.inf
+    rng = np.random.default_rng(0)
+    drawn = rng.integers(12, size=(300, 12))
+    medians = [np.median(np.concatenate([errors[owners == owner] for owner in people])) for people in drawn]
+    assert median_ci(np.append(errors, np.nan), np.append(owners, 3), samples=300) == pytest.approx(
+        np.quantile(medians, [0.025, 0.975])
+    )
+
+
+def test_intervals_of_medians_cover_the_truth() -> None:
+    truth = np.median(clustered_errors(100, 100_000, 10)[0])
+    covered = 0
+    for seed in range(200):
+        low, high = median_ci(*clustered_errors(seed, 40, 10), samples=300)
+        covered += low <= truth <= high
+    assert 0.9 <= covered / 200 <= 0.98
+
+
+def test_most_failures_make_infinite_medians() -> None:
+    assert median_ci(np.array([0.1, 0.2, *[np.inf] * 40])) == (np.inf, np.inf)
+    low, high = median_ci(np.array([*[0.1] * 10, *[np.inf] * 10]))
+    assert (low, high) == (0.1, np.inf)
+
+
+def test_all_intervals_hold_what_the_summary_says() -> None:
+    errors, owners = clustered_errors(8, 20, 4)
+    errors[:2] = np.inf
+    found, summary = intervals(errors, subjects=owners), summarise(errors, subjects=owners)
+    for name in ("mean", "median", "auc", "failure"):
+        low, high = getattr(found, name)
+        assert low < getattr(summary, name) < high
+    assert list(found.as_json()) == ["mean", "median", "auc_0.08", "failure_0.08"]
+    assert found.as_json()["mean"] == list(found.mean)
+
+
+@pytest.mark.parametrize("alternative", ["two-sided", "less"])
+@pytest.mark.parametrize("count", [4, 7])
+def test_ties_of_few_pairs_are_tested_as_by_scipy(count: int, alternative: Literal["two-sided", "less"]) -> None:
+    rng = np.random.default_rng(count)
+    a = rng.integers(0, 9, count).astype(float)
+    b = a + rng.choice([-2, -1, 1, 1, 2], count)
+    expected = stats.wilcoxon(a - b, alternative=alternative).pvalue
+    assert signed_rank(a, b, alternative=alternative) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_effect_sizes_belong_to_the_signed_rank_test(seed: int) -> None:
+    a, b = lognormal_errors(seed, 20), lognormal_errors(seed + 50, 20)
+    # SciPy's statistic is the smaller of the sums of ranks of either sign.
+    smaller, whole = stats.wilcoxon(a, b).statistic, 20 * 21 / 2
+    assert abs(rank_biserial(a, b)) == pytest.approx(1 - 2 * smaller / whole)
+    assert rank_biserial(a, b) == -rank_biserial(b, a)
+    failed = a.copy()
+    failed[:3] = np.inf
+    assert rank_biserial(failed, a) == 1
+
+
+def test_effect_sizes_without_a_difference() -> None:
+    errors = lognormal_errors(0, 9)
+    assert rank_biserial(errors, errors) == 0
+    assert np.isnan(rank_biserial(errors, np.full(9, np.nan)))
+    # People, not faces: the mean of a's first person is larger, the second person's are the same.
+    a, b = np.array([0.1, 0.5, 0.2]), np.array([0.2, 0.3, 0.2])
+    assert rank_biserial(a, b, ["x", "x", "y"]) == 1
 
 
 def test_intervals_of_means_are_those_of_clusters() -> None:

@@ -47,6 +47,28 @@ def test_large_angles_are_left_out_and_counted(tmp_path):
             read_aflw2000(tmp_path, most_degrees=wrong)
 
 
+def test_landmarks_that_were_annotated_again_are_those_of_the_same_face(tmp_path):
+    shifted = AFLW2000_POINTS.astype(np.float32) + np.float32(3)
+    write_aflw2000_face(tmp_path, "first", pose=[3.0, 0, 0])
+    write_aflw2000_face(tmp_path, "second", pt3d_68=shifted.astype(np.float64))
+    again = np.random.default_rng(0).uniform(0, 450, (3, 2, 68)).astype(np.float32)
+    own = np.stack([shifted, np.zeros((3, 68), np.float32), AFLW2000_POINTS.astype(np.float32)])
+    np.save(tmp_path / "AFLW2000-3D.pts68.npy", own)
+    np.save(tmp_path / "AFLW2000-3D-Reannotated.pts68.npy", again)
+    dataset = read_dataset(f"aflw2000-re:{tmp_path}")
+    assert [face.face for face in dataset.faces] == ["first", "second"]  # whatever their angles
+    for face, row in zip(dataset.faces, (2, 0), strict=True):
+        np.testing.assert_array_equal(face.landmarks, again[row].T)
+    np.save(tmp_path / "AFLW2000-3D.pts68.npy", own[1:])
+    with pytest.raises(DatasetError, match=r"as many faces in .*; got 2 and 3"):
+        read_dataset(f"aflw2000-re:{tmp_path}")
+    np.save(tmp_path / "AFLW2000-3D.pts68.npy", own[[1, 1, 2]])
+    assert "second.jpg: its landmarks are not among" in read_dataset(f"aflw2000-re:{tmp_path}").problems[0]
+    (tmp_path / "AFLW2000-3D-Reannotated.pts68.npy").write_bytes(b"nothing")
+    with pytest.raises(DatasetError, match=r"Reannotated.pts68.npy: expected the landmarks of AFLW2000-3D as an array"):
+        read_dataset(f"aflw2000-re:{tmp_path}")
+
+
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [

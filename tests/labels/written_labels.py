@@ -166,6 +166,13 @@ def _aflw2000(folder: Path, pictures: Sequence[bool]) -> Written:
     return folder, names
 
 
+def _aflw2000_again(folder: Path, pictures: Sequence[bool]) -> Written:
+    points = AFLW2000_POINTS.astype(np.float32)
+    np.save(folder / "AFLW2000-3D.pts68.npy", points[None])
+    np.save(folder / "AFLW2000-3D-Reannotated.pts68.npy", points[None, :2])
+    return _aflw2000(folder, pictures)
+
+
 # Files of annotations
 
 
@@ -231,6 +238,7 @@ WRITE_FACES: Mapping[str, Callable[[Path, Sequence[bool]], Written]] = {
     "pointing04": _pointing04,
     "aflw2000": _aflw2000,
     "aflw2000-all": _aflw2000,
+    "aflw2000-re": _aflw2000_again,
     "tps": _tps,
     "imglab": _imglab,
     "coco": _coco,

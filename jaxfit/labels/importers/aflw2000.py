@@ -1,9 +1,12 @@
 """AFLW2000-3D: MATLAB files with 68 points and the pose of a fitted 3D model, one a face, beside the pictures."""
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from jaxfit.data.inputs import open_regular
 from jaxfit.errors import DatasetError, InputError
 from jaxfit.labels.importers.matlab import read_matlab
 from jaxfit.labels.records import Dataset, FaceRecord, check_pictures
@@ -70,6 +73,51 @@ def read_aflw2000(folder: str | Path, most_degrees: float = _MOST_DEGREES) -> Da
     check_pictures(folder, faces)
     name = "aflw2000" if np.isfinite(most_degrees) else "aflw2000-all"
     return Dataset(f"{name}:{folder}", IBUG68, tuple(faces), tuple(problems))
+
+
+_MOST_BYTES = 1 << 24  # of an array of landmarks
+_OWN, _AGAIN = "AFLW2000-3D.pts68.npy", "AFLW2000-3D-Reannotated.pts68.npy"
+
+
+def read_aflw2000_again(folder: str | Path) -> Dataset:
+    """AFLW2000-3D with the landmarks of those who annotated its pictures again (Bulat and Tzimiropoulos, 2017), as
+    3DDFA's authors publish them: ``AFLW2000-3D-Reannotated.pts68.npy``, (F, 2, 68), which lies in the folder with
+    ``AFLW2000-3D.pts68.npy``, (F, 3, 68), whose rows are those of the ``.mat`` files and say which face is which.
+
+    Poses are those of the ``.mat`` files, all of them. The coordinates are taken as they are: on nearly frontal faces
+    they lie half a pixel from those of the ``.mat`` files counted from 0, and one and a half from those counted from 1.
+
+    Raises:
+        DatasetError: as `read_aflw2000`, or one of the two files is missing or has another shape.
+    """
+    folder = Path(folder)
+    found = read_aflw2000(folder, math.inf)
+    own, again = (_points(folder / name, sides) for name, sides in ((_OWN, 3), (_AGAIN, 2)))
+    if len(own) != len(again):
+        raise DatasetError(f"{folder}: expected as many faces in {_OWN} and {_AGAIN}; got {len(own)} and {len(again)}")
+    rows = {points[:2].tobytes(): row for row, points in enumerate(own)}
+    faces, problems = [], list(found.problems)
+    for face in found.faces:
+        row = rows.get(np.float32(face.landmarks + _FIRST_PIXEL).T.tobytes())
+        if row is None:
+            problems.append(f"{face.image}: its landmarks are not among those of {_OWN}")
+        else:
+            faces.append(replace(face, landmarks=again[row].T.astype(np.float64)))
+    if not faces:
+        raise DatasetError(f"{folder}: expected the faces of {_OWN}, found none; first problem: {problems[0]}")
+    return Dataset(f"aflw2000-re:{folder}", IBUG68, tuple(faces), tuple(problems))
+
+
+def _points(file: Path, sides: int) -> np.ndarray:
+    """The points (F, sides, 68), float32, of one of the two files."""
+    try:
+        with open_regular(file, _MOST_BYTES) as stream:
+            points = np.load(stream, allow_pickle=False)
+    except (OSError, ValueError, EOFError, MemoryError, OverflowError) as error:
+        raise DatasetError(f"{file}: expected the landmarks of AFLW2000-3D as an array; {error}") from None
+    if points.ndim != 3 or points.shape[1:] != (sides, IBUG68.count) or not np.isfinite(points).all():
+        raise DatasetError(f"{file}: expected finite numbers (faces, {sides}, {IBUG68.count}); got {points.shape}")
+    return np.ascontiguousarray(points, np.float32)
 
 
 def _read(path: Path) -> FaceRecord:

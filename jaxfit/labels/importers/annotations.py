@@ -20,6 +20,7 @@ from jaxfit.labels.turned import turned_pictures
 from jaxfit.schemes.known import scheme_named
 from jaxfit.schemes.own import numbered
 from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import DEFAULT_ORDER, PoseOrder
 
 MOST_BYTES = 1 << 30  # of a file of annotations: some hundred thousand objects
 _MISSING = ("", "na", "nan", "none", "null")
@@ -38,6 +39,8 @@ class Annotation:
         box: (4,), or None.
         scale: the length of a pixel in units, or None.
         subject: who or what is in the picture; empty if the file does not say: each picture shows another.
+        pose: (3,) roll, pitch and yaw in degrees, NaN for an angle that is missing, or None.
+        pose_order: what the angles mean, as in ``FaceRecord``.
     """
 
     where: str
@@ -48,6 +51,8 @@ class Annotation:
     box: np.ndarray | None = None
     scale: float | None = None
     subject: str = ""
+    pose: np.ndarray | None = None
+    pose_order: PoseOrder = DEFAULT_ORDER
 
 
 def coordinate(text: str) -> float:
@@ -202,7 +207,7 @@ def dataset_of(
         if (known.any(1) & ~present).any():
             problems.append(f"{each.where}: expected both numbers of a point, or none; got one")
             continue
-        if not present.any() and each.box is None:
+        if not present.any() and each.box is None and each.pose is None:
             problems.append(f"{each.where}: has no point that is not missing, and no box")
             continue
         try:
@@ -217,7 +222,8 @@ def dataset_of(
                 present=present,
                 visible=present.copy() if each.visible is None else each.visible & present,
                 box=each.box,
-                pose=None,
+                pose=each.pose,
+                pose_order=each.pose_order,
                 subject=each.subject or _without_suffix(each.image),
                 face=name,
                 scale=each.scale,

@@ -29,6 +29,17 @@ def read_coco(file: str | Path) -> Dataset:
         DatasetError: the file is missing, no COCO file, nothing in it can be used, or no picture exists.
     """
     file = Path(file)
+    scheme, found, problems = coco_annotations(file)
+    return dataset_of(f"coco:{file}", file, found, problems, scheme=scheme)
+
+
+def coco_annotations(file: Path) -> tuple[Scheme, list[Annotation], list[str]]:
+    """What the keypoints of a COCO file mean, its annotations, and the problems of those that cannot be used, wherever
+    their pictures are.
+
+    Raises:
+        DatasetError: the file is missing, or no COCO file with keypoints.
+    """
     try:
         content = json.loads(annotation_text(file, _KIND))
         images, annotations, categories = (_objects(content, key) for key in ("images", "annotations", "categories"))
@@ -63,7 +74,7 @@ def read_coco(file: str | Path) -> Dataset:
             found.append(_annotation(each, where, names, chosen, scheme.count, problems))
         except DatasetError as error:
             problems.append(f"{where}: {error}")
-    return dataset_of(f"coco:{file}", file, found, problems, scheme=scheme)
+    return scheme, found, problems
 
 
 def _objects(content: Any, key: str) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
@@ -18,9 +19,12 @@ from jaxfit.labels.importers.annotations import (
     named_scheme,
 )
 from jaxfit.labels.records import Dataset
-from jaxfit.schemes.known import scheme_named
+from jaxfit.schemes.known import NO_LANDMARKS, scheme_named
+from jaxfit.schemes.scheme import Scheme
+from jaxfit.shapes.camera import ANGLES, DEFAULT_ORDER, PoseOrder
 
 _BOX = ("x", "y", "width", "height")
+_ORDER = "pose_order"  # the column of what angles mean
 # What else `jaxfit fit` writes, which is about fits and not about labels.
 _OF_FITS = ("box", "rotation", "ok", "confidence")
 _ML_MORPH_BOX = ("box_left", "box_top", "box_width", "box_height")
@@ -30,19 +34,31 @@ def read_csv_points(file: str | Path) -> Dataset:
     """A table with a row an object: ``image``, then ``x1,y1,x2,y2,...`` or ``NAME_x,NAME_y,...``, in pixels, y down.
 
     Empty cells are missing points. ``v1`` or ``NAME_v``, where given, is 1 of hidden points, as in COCO. The columns
-    ``x,y,width,height`` are a box, ``scale`` the length of a pixel, ``subject`` and ``face`` names. ``image`` is the
-    picture's path from the file's folder. Rows that cannot be used, and columns that are not read, become problems.
+    ``x,y,width,height`` are a box, ``roll,pitch,yaw`` a pose in degrees, ``pose_order`` what its angles mean,
+    ``scale`` the length of a pixel, ``subject`` and ``face`` names. Tables with poses may have no points. ``image`` is
+    the picture's path from the file's folder. Rows that cannot be used, and columns that are not read, become problems.
 
     Raises:
         DatasetError: the file is missing, lacks columns, no row can be used, or no picture exists.
     """
     file = Path(file)
+    scheme, annotations, problems = csv_annotations(file)
+    return dataset_of(f"csv:{file}", file, annotations, problems, scheme=scheme)
+
+
+def csv_annotations(file: Path) -> tuple[Scheme, list[Annotation], list[str]]:
+    """What the landmarks of such a table mean, its rows, and the problems of those that cannot be used, wherever their
+    pictures are.
+
+    Raises:
+        DatasetError: the file is missing, or lacks columns.
+    """
     header, rows = _table(file)
     if "image" not in header:
         hint = "; if it is ml-morph's, whose y counts from the bottom, say ml-morph:" if _is_ml_morph(header) else ""
         raise DatasetError(f"{file}, line 1: expected a column image, and x1, y1, ...; got {_some(header)}{hint}")
-    names, columns = _point_columns(file, header)
-    boxed = all(name in header for name in _BOX)
+    boxed, posed = (all(name in header for name in columns) for columns in (_BOX, ANGLES))
+    names, columns = _point_columns(file, header, posed)
     read = {
         "image",
         "scale",
@@ -50,6 +66,7 @@ def read_csv_points(file: str | Path) -> Dataset:
         "face",
         *_OF_FITS,
         *(_BOX if boxed else ()),
+        *((*ANGLES, _ORDER) if posed else ()),
         *(c for each in columns for c in each),
     }
     others = [name for name in header if name not in read]
@@ -58,11 +75,11 @@ def read_csv_points(file: str | Path) -> Dataset:
     for where, cells in rows:
         row = dict(zip(header, cells, strict=True))
         try:
-            annotations.append(_wide(where, row, columns, boxed, problems))
+            annotations.append(_wide(where, row, columns, boxed, posed, problems))
         except DatasetError as error:
             problems.append(f"{where}: {error}")
-    scheme = named_scheme(file, names) if names else scheme_named(f"points{len(columns)}")
-    return dataset_of(f"csv:{file}", file, annotations, problems, scheme=scheme)
+    numbered = scheme_named(f"points{len(columns)}") if columns else NO_LANDMARKS
+    return named_scheme(file, names) if names else numbered, annotations, problems
 
 
 def read_ml_morph(file: str | Path, stored: bool = False) -> Dataset:
@@ -125,8 +142,11 @@ def _is_ml_morph(header: Sequence[str]) -> bool:
     return any(re.fullmatch("X[01]", name) for name in header)
 
 
-def _point_columns(file: Path, header: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[str, str, str]]]:
-    """The names of the points, empty if they are numbered, and their columns x, y and v, which may not be there."""
+def _point_columns(
+    file: Path, header: Sequence[str], posed: bool
+) -> tuple[tuple[str, ...], list[tuple[str, str, str]]]:
+    """The names of the points, empty if they are numbered, and their columns x, y and v, which may not be there; of
+    tables with poses, there may be none."""
     numbers = sorted(int(found[1]) for name in header if (found := re.fullmatch("x([0-9]{1,6})", name)))
     if numbers:
         names: tuple[str, ...] = ()
@@ -136,6 +156,8 @@ def _point_columns(file: Path, header: Sequence[str]) -> tuple[tuple[str, ...], 
     else:
         names = tuple(name[:-2] for name in header if name.endswith("_x") and len(name) > 2)
         columns = [(f"{name}_x", f"{name}_y", f"{name}_v") for name in names]
+    if posed and not columns:
+        return (), []
     if not columns or (lacking := [across for across, down, _ in columns if down not in header]):
         lack = f"{lacking[0]} without its y" if columns else f"{_some(header)}"
         raise DatasetError(f"{file}, line 1: expected the columns x1,y1,x2,y2,... or NAME_x,NAME_y,...; got {lack}")
@@ -143,18 +165,28 @@ def _point_columns(file: Path, header: Sequence[str]) -> tuple[tuple[str, ...], 
 
 
 def _wide(
-    where: str, row: dict[str, str], columns: Sequence[tuple[str, str, str]], boxed: bool, problems: list[str]
+    where: str,
+    row: dict[str, str],
+    columns: Sequence[tuple[str, str, str]],
+    boxed: bool,
+    posed: bool,
+    problems: list[str],
 ) -> Annotation:
     if not row["image"].strip():
         raise DatasetError("expected a picture's path in the column image; got none")
-    landmarks = np.array([[_number(row, across), _number(row, down)] for across, down, _ in columns])
-    visible = np.array([row.get(state, "").strip() != "1" for _, _, state in columns])
+    landmarks = np.array([[_number(row, across), _number(row, down)] for across, down, _ in columns]).reshape(-1, 2)
+    visible = np.array([row.get(state, "").strip() != "1" for _, _, state in columns], bool)
     box = np.array([_number(row, name) for name in _BOX]) if boxed else None
     if box is not None and not np.isfinite(box).all():
         if np.isfinite(box).any():
             raise DatasetError(f"expected all of {', '.join(_BOX)}, or none; got some")
         box = None
     scale = given_scale(_number(row, "scale"), where, problems) if "scale" in row else None
+    pose = np.array([_number(row, angle) for angle in ANGLES]) if posed else None
+    orders: dict[str, PoseOrder] = {order: order for order in get_args(PoseOrder)} | {"": DEFAULT_ORDER}
+    order = row.get(_ORDER, "").strip() if posed else ""
+    if order not in orders:
+        raise DatasetError(f"expected a {_ORDER} of {' or '.join(get_args(PoseOrder))}; got {order[:80]!r}")
     return Annotation(
         where,
         row["image"],
@@ -164,6 +196,8 @@ def _wide(
         box=box,
         scale=scale,
         subject=row.get("subject", "").strip(),
+        pose=None if pose is None or np.isnan(pose).all() else pose,
+        pose_order=orders[order],
     )
 
 

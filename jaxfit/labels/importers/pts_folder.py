@@ -39,12 +39,12 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     for path in files:
         if path.suffix.lower() in READABLE_SUFFIXES:
             pictures.setdefault(path.stem, []).append(path)
-    found, problems = _read_all([path for path in files if path.suffix.lower() == ".pts"], base)
+    found, problems = read_all_pts([path for path in files if path.suffix.lower() == ".pts"], base)
     labelled = {path.stem for path in files if path.suffix.lower() == ".pts"}
     of_label: dict[Path, Path] = {}
     for path in found:
-        own, of_fit = pictures.get(path.stem, []), pictures.get(_picture_stem(path), [])
-        if own and of_fit and _picture_stem(path) not in labelled:
+        own, of_fit = pictures.get(path.stem, []), pictures.get(picture_stem(path), [])
+        if own and of_fit and picture_stem(path) not in labelled:
             problems.append(
                 f"{path}: may belong to {own[0]} or, as a face that was fitted in it, to {of_fit[0]}; move one of the "
                 f"pictures elsewhere, or give {of_fit[0].name} its own .pts"
@@ -73,7 +73,8 @@ def read_pts_folder(folder: str | Path, base: int = 1) -> Dataset:
     return Dataset(spec=spec, scheme=scheme_of_count(count), faces=faces, problems=tuple(problems))
 
 
-def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray], list[str]]:
+def read_all_pts(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray], list[str]]:
+    """The landmarks (L, 2) of each file that can be read, and the problems of the others."""
     found, problems = {}, []
     for path in annotations:
         try:
@@ -83,7 +84,7 @@ def _read_all(annotations: list[Path], base: int) -> tuple[dict[Path, np.ndarray
     return found, problems
 
 
-def _picture_stem(label: Path) -> str:
+def picture_stem(label: Path) -> str:
     """The stem of the picture that a ``.pts`` file is of, if it is one of those that fits write: ``NAME_2.pts``."""
     numbered = re.fullmatch(r"(.+)_[1-9][0-9]*", label.stem)
     return numbered[1] if numbered else ""
