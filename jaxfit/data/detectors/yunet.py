@@ -34,14 +34,14 @@ _SAME = 0.3  # overlap from which two finds are one face
 _MOST = 5000  # finds in a part
 _DARK = 64  # value that all but 1 in 100 pixels of a dark picture stay below
 _NARROWEST = 16  # pixels of a part in which a face can be seen; in narrower ones the network finds what is not there
-# Upright faces of photographs have scores above 0.9. A find with less, or one that is turned, is looked at again in a
-# patch, turned as the network believes and to the sides. It sees turned faces best where they are large.
-_UPRIGHT, _SURE = 12.0, 0.9  # degrees up to which a find is upright, and the score from which there is no doubt of it
+# Most upright faces of photographs have scores above 0.9; of turned faces that are seen upright 1 in 50 has less than
+# 0.88, and most of what is no face. A find with less, or one that is turned, is looked at again in a patch, turned as
+# the network believes and to the sides. It sees turned faces best where they are large.
+_UPRIGHT, _SURE = 12.0, 0.88  # degrees up to which a find is upright, and the score from which there is no doubt of it
 _LIKELY = 0.8  # score from which an upright find is a face, if no other rotation is better
 _LEANING = 15.0  # degrees up to which hardly a face is missed at the usual score, in a group of which some lean more
 _DOUBTFUL = 0.05  # score of finds that may be turned faces: small ones at 45 degrees often have no more
 _MOST_SMALL, _MOST_TURNED = 200, 30  # of them in a picture that are looked at closer, and turned
-_CONFIRMED = 0.88  # score of turned faces that are seen upright; 1 in 50 has less, and most of what is no face
 _FRAME = Frame(crop=256, face=128.0)
 _CLOSER = Frame(crop=96, face=60.0)  # of closer looks: small, as most of them go to upright faces
 _SIDES = (45.0, -45.0, 90.0, -90.0)
@@ -198,7 +198,7 @@ class YuNet:
         for _ in range(_LOOKS):
             if not settled:
                 best, settled = self._turned(bgr, best, best.rotation)
-        if best.score >= _CONFIRMED:
+        if best.score >= _SURE:
             return replace(best, score=max(face.score, best.score))
         return face if abs(face.rotation) < 45 else replace(face, score=0.0)
 
