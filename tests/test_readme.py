@@ -145,6 +145,7 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "runs/report/report.html",
         "wings/wings.xml",
         "fitted/keypoints.json",
+        "next.tps",
         "measured/report.json",
         "folds/report/report.html",
     ):

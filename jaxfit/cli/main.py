@@ -8,7 +8,20 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 import jaxfit
-from jaxfit.cli import collect, convert, evaluate, experiments, export, finetune, fit, models, serve, track, train
+from jaxfit.cli import (
+    collect,
+    convert,
+    evaluate,
+    experiments,
+    export,
+    finetune,
+    fit,
+    models,
+    serve,
+    suggest,
+    track,
+    train,
+)
 from jaxfit.cli.progress import say
 from jaxfit.cli.streams import lasting_streams
 from jaxfit.compile_cache import keep_compiled_code
@@ -17,7 +30,7 @@ from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
 _STOPPED = 130  # by Ctrl-C
-_COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments, convert)
+_COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, export, experiments, convert, suggest)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -6,6 +6,7 @@ from jaxfit.learning.finetune import Finetuned, finetune
 from jaxfit.learning.held_out import evaluate_held_out
 from jaxfit.learning.methods import METHODS, Method, Options, options_for
 from jaxfit.learning.placements import Calibrated, calibrate_boxes
+from jaxfit.learning.suggest import Suggested, suggest
 from jaxfit.learning.train import Trained, train
 from jaxfit.processes import join_processes
 
@@ -18,6 +19,7 @@ __all__ = [
     "Method",
     "Options",
     "SampledFits",
+    "Suggested",
     "Trained",
     "calibrate_boxes",
     "choose_options",
@@ -27,5 +29,6 @@ __all__ = [
     "learn_confidence",
     "options_for",
     "sample_fits",
+    "suggest",
     "train",
 ]

@@ -107,6 +107,19 @@ def test_whole_pictures_are_fitted_and_go_back_to_the_labelling_program(folder: 
         np.testing.assert_allclose([face.landmarks for face in found.faces], points, atol=tolerance)
 
 
+def test_suggested_pictures_come_with_labels_to_correct(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "next.tps"
+    pictures = [str(folder / f"o{number}.png") for number in range(5)]
+    suggest = ["suggest", str(folder / "fly.safetensors"), *pictures, "--out", str(out), "--count"]
+    assert main([*suggest, "3"]) == 0
+    faces = read_dataset(str(out)).faces
+    labelled = {face.image.resolve(): face for face in read_dataset(str(folder / "l.tps")).faces if face.complete}
+    assert len({face.image for face in faces}) == len(faces) == 3
+    for face in faces:
+        assert np.abs(face.landmarks - labelled[face.image.resolve()].landmarks).mean() < 4
+    assert main([*suggest, "0"]) == 2
+
+
 def test_labels_without_names_are_taken_for_the_models(folder: Path) -> None:
     scheme = jaxfit.load(folder / "fly.safetensors").scheme
     data = [f"tps:{folder / 'l.tps'}"]
