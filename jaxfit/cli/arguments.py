@@ -369,7 +369,8 @@ def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str,
     kind = arguments.descriptor or kind_of(suited.descriptor or usual)
     descriptor: Any = descriptor_like(usual, kind)
     if suited.descriptor is not None and kind == kind_of(suited.descriptor):
-        descriptor = replace(suited.descriptor, orientation=descriptor.orientation)
+        finer: Any = suited.descriptor
+        descriptor = replace(finer, orientation=descriptor.orientation)
     for name in ("orientation", "normalisation", "zoom"):
         if choice := getattr(arguments, name):
             if not hasattr(descriptor, name):

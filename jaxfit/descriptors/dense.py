@@ -138,7 +138,8 @@ class Dense:
         if level < 2:
             return places(x, y, len(prepared[level]), (_FINE, _COARSE)[level])
         shrunk = 2 ** (level - 1)
-        return places(*((each - (shrunk - 1) / 2) / shrunk for each in (x, y)), len(prepared[level]), _COARSE)
+        x, y = ((each - (shrunk - 1) / 2) / shrunk for each in (x, y))
+        return places(x, y, len(prepared[level]), _COARSE)
 
     def describe(self, prepared: Maps, level: int, aim: Places, angle: Scalar) -> Histograms:
         """The histograms of the 4 × 4 cells (rows first)."""

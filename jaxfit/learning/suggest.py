@@ -110,7 +110,8 @@ def ranked(unsure: np.ndarray, places: np.ndarray, known: np.ndarray) -> np.ndar
     """An order (N,) of objects: each has the highest product of its uncertainty (N,) and of the distance of its place
     (N, D) from the nearest of those before it and from a known place (D,)."""
     nearest = np.linalg.norm(places - known, axis=1)
-    left, order = np.ones(len(places), bool), []
+    left = np.ones(len(places), bool)
+    order: list[int] = []
     for _ in range(len(places)):
         best = int(np.argmax(np.where(left, unsure * (nearest if order else 1.0), -1.0)))
         order.append(best)
