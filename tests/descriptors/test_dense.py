@@ -73,7 +73,7 @@ def test_zoomed_crops_are_seen_at_the_resolution_that_suits_the_window(zoom, sid
     np.testing.assert_allclose(found, usual, atol=2e-5)
 
 
-@pytest.mark.parametrize("zoom", [0, 3, 16, 2.0, True, "2"])
+@pytest.mark.parametrize("zoom", [0, 3, 16, True])
 def test_other_zooms_are_refused(zoom):
     with pytest.raises(InputError, match="expected a zoom of 1, 2, 4, 8"):
         Dense(zoom=zoom)
