@@ -11,7 +11,8 @@ from jaxfit.image.frame import Frame
 from jaxfit.learning.methods import Options
 
 OPTIONS = Options(Greedy((0.6, 0.4), 6), mirror=False, frame=Frame(64, 36.0))
-TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]  # the same
+TRAIN = ["--windows", "0.6", "0.4", "--augmentations", "6", "--crop", "64", "--face", "36", "--no-mirror"]
+TRAIN += ["--descriptor", "sift", "--spread", "1", "--copies", "0", "--folds", "0"]  # the same
 POINTS = np.array([[-20.0, -15.0], [20.0, -15.0], [0.0, 5.0], [-14.0, 22.0], [14.0, 22.0]])
 
 

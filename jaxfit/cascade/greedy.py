@@ -18,15 +18,18 @@ from jaxfit.cascade.starts import Spread
 from jaxfit.cascade.state import State, advanced, features_of, state_of, step_to, target_of
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.errors import InputError
+from jaxfit.image.disturb import Disturbance, disturbed
 from jaxfit.image.frame import Frame
 from jaxfit.processes import by_first, gathered, total
 from jaxfit.shapes.space import ShapeSpace, Start
-from jaxfit.types import Point, Progress, Scalar, silent
+from jaxfit.types import Crop, Landmarks, Point, Progress, Scalar, silent
 
 # Samples that are described at once; it bounds memory, whatever the number of faces and augmentations.
 _BATCH = 2048
 # Samples that the principal axes are learned from; more of them cost memory and time and change the axes little.
 _PCA_SAMPLES = 3072
+_DISTURBED_AT_ONCE = 64  # crops
+_AMOUNTS = Disturbance()  # of copies, as in fine-tuning
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class Greedy:
         spread: factor on the measured spread of the starts. They are drawn around crops in which true faces scatter
             too, so that the starts of training are wider than those of fitting: better than narrower.
         seed: of boxes and starts; the same seed, machine and number of cores give the same bits.
+        copies: of each face, whose pictures are turned, scaled, sheared, blurred, made noisy or partly hidden: worth
+            their time where pictures are few. A copy counts as a face of its own.
 
     Raises:
         InputError: an option out of range.
@@ -56,6 +61,7 @@ class Greedy:
     rank: int | None = None
     spread: float = 1.0
     seed: int = 0
+    copies: int = 0
 
     def __post_init__(self) -> None:
         if not (
@@ -65,12 +71,13 @@ class Greedy:
             and self.augmentations >= 1
             and (self.rank is None or (isinstance(self.rank, int) and self.rank >= 1))
             and 0 < self.variance <= 1
-            and min(self.ridge, self.spread, self.seed) >= 0
+            and min(self.ridge, self.spread, self.seed, self.copies) >= 0
         ):
             raise InputError(
-                "expected at least one step, windows > 0, rank and augmentations >= 1, 0 < variance <= 1, and ridge, "
-                f"spread and seed >= 0; got windows {self.windows}, augmentations {self.augmentations}, rank "
-                f"{self.rank}, variance {self.variance}, ridge {self.ridge}, spread {self.spread}, seed {self.seed}"
+                "expected at least one step, windows > 0, rank and augmentations >= 1, 0 < variance <= 1, and copies, "
+                f"ridge, spread and seed >= 0; got windows {self.windows}, augmentations {self.augmentations}, copies "
+                f"{self.copies}, rank {self.rank}, variance {self.variance}, ridge {self.ridge}, spread {self.spread}, "
+                f"seed {self.seed}"
             )
 
 
@@ -96,6 +103,52 @@ class TrainingSet:
     pivots: Float[np.ndarray, "faces 2"]
     numbers: np.ndarray | None = None
     of: int | None = None
+
+
+@partial(jax.jit, static_argnames="amounts")
+def _disturbed(
+    keys: Array,
+    crops: UInt8[Array, "faces height width"],
+    mirrored: Bool[Array, "faces"],
+    points: Float[Array, "faces points 2"],
+    amounts: Disturbance,
+) -> tuple[UInt8[Array, "faces height width"], Float[Array, "faces points 2"]]:
+    def of_face(key: Array, crop: Crop, points: Landmarks) -> tuple[Crop, Landmarks]:
+        other, warp = disturbed(key, crop, amounts)
+        return other, warp.points(points)
+
+    return vmap(of_face)(keys, jnp.where(mirrored[:, None, None], crops[:, :, ::-1], crops), points)
+
+
+def with_copies(faces: TrainingSet, copies: int, seed: int, amounts: Disturbance = _AMOUNTS) -> TrainingSet:
+    """The faces, and so many copies of each with disturbed pictures: where pictures are few, they teach what more
+    pictures would. Copies of a face are the same whichever faces come with it."""
+    if not copies or not len(faces.source):
+        return faces
+    count = len(faces.source)
+    numbers = np.arange(count) if faces.numbers is None else faces.numbers
+    every = faces.of or count
+    crops, landmarks, pivots = [faces.crops], [faces.landmarks], [faces.pivots]
+    size = min(_DISTURBED_AT_ONCE, count)
+    for copy in range(1, copies + 1):
+        keys = vmap(partial(random.fold_in, random.fold_in(random.key(seed), copy)))(jnp.asarray(numbers, jnp.int32))
+        for first in range(0, count, size):
+            rows = np.minimum(np.arange(first, first + size), count - 1)
+            points = np.concatenate([faces.landmarks[rows], faces.pivots[rows][:, None]], 1)
+            given = faces.crops[faces.source[rows]], faces.mirrored[rows], points.astype(np.float32)
+            pictures, moved = (np.asarray(each)[: count - first] for each in _disturbed(keys[rows], *given, amounts))
+            crops.append(pictures)
+            landmarks.append(moved[:, :-1])
+            pivots.append(moved[:, -1])
+    return TrainingSet(
+        crops=np.concatenate(crops),
+        landmarks=np.concatenate(landmarks),
+        mirrored=np.concatenate([faces.mirrored, np.zeros(copies * count, bool)]),
+        source=np.concatenate([faces.source, len(faces.crops) + np.arange(copies * count)]),
+        pivots=np.concatenate(pivots),
+        numbers=np.concatenate([numbers + copy * every for copy in range(copies + 1)]),
+        of=(copies + 1) * every,
+    )
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,10 @@ from jaxfit.cascade.model import Cascade, Regressor
 from jaxfit.cascade.starts import Spread
 from jaxfit.cascade.state import State, advanced, landmarks_of
 from jaxfit.errors import InputError
-from jaxfit.image.disturb import Disturbance, draw_warp, spoiled
+from jaxfit.image.disturb import Disturbance, disturbed
 from jaxfit.modes import mixing_types
 from jaxfit.shapes.space import ShapeSpace3D
-from jaxfit.types import Crop, Features, Landmarks, Picture, Point, Progress, Scalar, silent
+from jaxfit.types import Features, Landmarks, Point, Progress, Scalar, silent
 
 # Of the canonical face's side: below it the loss grows with the square of the error, above it with the error.
 _BEND = 0.02
@@ -341,7 +341,7 @@ def _updated(
 ) -> tuple[Learned, Any]:
     """What is learned, and the optimiser's state, after one batch."""
     of_pictures, of_starts, of_landmarks = random.split(key, 3)
-    batch = _disturbed(of_pictures, _upright(batch), disturbance, cascade.frame.middle)
+    batch = _disturbed(of_pictures, _upright(batch), disturbance)
     states = _starts(cascade, random.split(of_starts, len(batch.crops)), batch.pivots, drawn)
 
     def loss(learned: Learned) -> Scalar:
@@ -369,23 +369,18 @@ def _upright(batch: _Batch) -> _Batch:
     return batch._replace(crops=flipped)
 
 
-def _disturbed(key: Array, batch: _Batch, amounts: Disturbance, middle: float) -> _Batch:
+def _disturbed(key: Array, batch: _Batch, amounts: Disturbance) -> _Batch:
     def of_face(key: Array, face: _Batch) -> _Batch:
-        of_warp, of_picture = random.split(key)
-        warp = draw_warp(of_warp, amounts, jnp.full(2, middle, jnp.float32))
+        crop, warp = disturbed(key, face.crops, amounts)
         scale = jnp.sqrt(jnp.linalg.det(warp.matrix))
         return face._replace(
-            crops=_as_bytes(spoiled(of_picture, warp.picture(face.crops.astype(jnp.float32)), amounts)),
+            crops=crop,
             landmarks=warp.points(face.landmarks),
             pivots=warp.points(face.pivots),
             depths=face.depths / scale,
         )
 
     return vmap(of_face)(random.split(key, len(batch.crops)), batch)
-
-
-def _as_bytes(picture: Picture) -> Crop:
-    return jnp.clip(jnp.round(picture), 0, 255).astype(jnp.uint8)
 
 
 def _starts(cascade: Cascade, keys: Array, pivots: Array, drawn: _Drawn) -> State:

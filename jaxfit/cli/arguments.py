@@ -14,7 +14,8 @@ from jaxfit.data.detectors import Search, box_kinds, detector_specs
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, MOST_SLOW_BYTES
 from jaxfit.data.numbers import whole_number
 from jaxfit.data.sizes import HEAVY
-from jaxfit.descriptors import DESCRIPTORS, descriptor_like
+from jaxfit.descriptors import DESCRIPTORS, descriptor_like, kind_of
+from jaxfit.descriptors.dense import ZOOMS
 from jaxfit.descriptors.normalise import NORMALISATIONS
 from jaxfit.descriptors.sift import ORIENTATIONS
 from jaxfit.errors import InputError
@@ -22,7 +23,7 @@ from jaxfit.fitting.pipeline import Fitting
 from jaxfit.fitting.place import PUPIL_DISTANCE, Placing
 from jaxfit.image.frame import Frame
 from jaxfit.labels.datasets import FORMATS
-from jaxfit.learning.methods import Options, default_descriptor
+from jaxfit.learning.methods import Options, default_descriptor, options_for
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
@@ -295,15 +296,26 @@ _GREEDY: dict[str, dict[str, Any]] = {
         "help": "directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
         "unless given, all",
     },
-    "spread": {"type": float, "help": "factor on the spread of the starts"},
+    "spread": {
+        "type": float,
+        "help": "factor on the spread of the starts; 1 unless given, 1.4 for schemes of your own",
+    },
     "seed": {"type": seed, "help": "same seed, machine and cores: same model"},
+    "copies": {
+        "type": int,
+        "help": "of each face with its picture turned, scaled, sheared, blurred or partly hidden; 0 unless given, but "
+        "for schemes of your own as many as make 400 faces, 9 at most",
+    },
 }
+
+
+_SUITED = ("spread", "copies")  # whose defaults are those of `options_for`
 
 
 def add_training(command: argparse.ArgumentParser) -> None:
     """The options of training, whatever the method."""
     for name, words in _GREEDY.items():
-        usual = getattr(_DEFAULT.greedy, name)
+        usual = None if name in _SUITED else getattr(_DEFAULT.greedy, name)
         default = list(usual) if isinstance(usual, tuple) else usual
         command.add_argument(f"--{name}", default=default, **words)
     command.add_argument(
@@ -324,8 +336,15 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--descriptor",
         choices=list(DESCRIPTORS),
-        default="sift",
-        help="what is seen at a landmark: sift, or dense, which is much faster (default sift)",
+        help="what is seen at a landmark: sift, or dense, which is much faster; sift unless given, dense for schemes "
+        "of your own",
+    )
+    command.add_argument(
+        "--zoom",
+        type=int,
+        choices=ZOOMS,
+        help="of dense: how many times finer crops are than usual, so that later steps look at more detail, taking "
+        "longer; 1 unless given, 2 for schemes of your own",
     )
     command.add_argument(
         "--orientation",
@@ -383,36 +402,42 @@ def model_target(out: str) -> Path:
     return path
 
 
-def given_greedy(arguments: argparse.Namespace) -> Greedy:
-    """The options of how a cascade is learned.
+def given_greedy(arguments: argparse.Namespace, usual: Greedy = _DEFAULT.greedy) -> Greedy:
+    """The options of how a cascade is learned; those that are not given, as usual.
 
     Raises:
         InputError: an option out of range.
     """
     given: dict[str, Any] = {name: getattr(arguments, name) for name in _GREEDY}
+    given |= {name: getattr(usual, name) for name in _SUITED if given[name] is None}
     return Greedy(**given | {"windows": tuple(given["windows"])})
 
 
-def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str) -> Options:
-    """The options of training that the command line gives; faces of unknown landmarks are not mirrored.
+def training_options(arguments: argparse.Namespace, scheme: Scheme, method: str, faces: int | None = None) -> Options:
+    """The options of training that the command line gives, for so many faces; those of unknown landmarks are not
+    mirrored. Where nothing is given, they are those of `options_for`, or, for None faces, those of known landmarks.
 
     Raises:
         InputError: an option out of range, or a choice that the descriptor does not have.
     """
     starts = given_starts(arguments)
     usual = default_descriptor(method, starts)
-    descriptor: Any = descriptor_like(usual, arguments.descriptor)
-    for name in ("orientation", "normalisation"):
+    suited = _DEFAULT if faces is None else options_for(scheme, faces)
+    kind = arguments.descriptor or kind_of(suited.descriptor or usual)
+    descriptor: Any = descriptor_like(usual, kind)
+    if suited.descriptor is not None and kind == kind_of(suited.descriptor):
+        finer: Any = suited.descriptor
+        descriptor = replace(finer, orientation=descriptor.orientation)
+    for name in ("orientation", "normalisation", "zoom"):
         if choice := getattr(arguments, name):
             if not hasattr(descriptor, name):
                 raise InputError(
-                    f"the descriptor {arguments.descriptor} has no {name}: leave out --{name}, or take another "
-                    "--descriptor"
+                    f"the descriptor {kind} has no {name}: leave out --{name}, or take another --descriptor"
                 )
             descriptor = replace(descriptor, **{name: choice})
     sides = {name: side for name in ("crop", "face", "shift") if (side := getattr(arguments, name)) is not None}
     return Options(
-        greedy=given_greedy(arguments),
+        greedy=given_greedy(arguments, suited.greedy),
         starts=starts,
         shape_variance=arguments.shape_variance,
         sigmas=arguments.sigmas,

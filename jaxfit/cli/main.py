@@ -19,6 +19,7 @@ from jaxfit.cli import (
     fit,
     models,
     serve,
+    suggest,
     track,
     train,
 )
@@ -31,7 +32,21 @@ from jaxfit.data.numbers import number, whole_number
 from jaxfit.errors import JaxfitError
 
 _STOPPED = 130  # by Ctrl-C
-_COMMANDS = (fit, collect, track, serve, models, train, finetune, evaluate, compare, export, experiments, convert)
+_COMMANDS = (
+    fit,
+    collect,
+    track,
+    serve,
+    models,
+    train,
+    suggest,
+    finetune,
+    evaluate,
+    compare,
+    export,
+    experiments,
+    convert,
+)
 
 
 class _Parser(argparse.ArgumentParser):

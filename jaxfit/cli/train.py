@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxfit.cli.arguments import (
@@ -16,26 +17,33 @@ from jaxfit.cli.arguments import (
     training_options,
 )
 from jaxfit.cli.labelled_faces import add_faces, read_faces, require_people
-from jaxfit.cli.progress import Bars, report_problems, say
+from jaxfit.cli.progress import Bars, report_problems, say, warn
 from jaxfit.cli.together import add_processes
+from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.pictures import GreyPictures, Read, read_grey
+from jaxfit.errors import InputError
 from jaxfit.evaluation.boxes import start_boxes
-from jaxfit.evaluation.evaluate import evaluate
+from jaxfit.evaluation.evaluate import Evaluation, evaluate
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import text_table
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.choose import OPTIONS, Chosen, choose_options
 from jaxfit.learning.confidence import learn_confidence
+from jaxfit.learning.held_out import evaluate_held_out
 from jaxfit.learning.methods import METHODS
 from jaxfit.learning.train import train
 from jaxfit.models.files import SUFFIX, save
 from jaxfit.models.model import Model
 from jaxfit.processes import is_first, require_alone
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.normalisers import NORMALISERS
+from jaxfit.schemes.scheme import Scheme
 from jaxfit.types import Progress
 
 _MEASURED = 256  # faces at most whose errors are said in the end
+_FOLDS, _FEW = 5, 100  # of faces of one's own scheme, which are tested in folds if there are no more than these
+_TOO_FEW = 20  # faces, below which errors on others are large
 
 
 def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -59,6 +67,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "leave on people that they did not learn from, in cross-validation: in 3 folds by default; takes several "
         "times as long",
     )
+    command.add_argument(
+        "--folds",
+        type=int,
+        metavar="FOLDS",
+        help="in the end, also train without a part of the subjects, FOLDS times, and say what errors that leaves on "
+        f"them; 0: not; unless given, {_FOLDS} for schemes of your own with up to {_FEW} faces",
+    )
     add_confidence(command)
     add_training(command)
     add_processes(command, run)
@@ -67,15 +82,19 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
 def run(options: argparse.Namespace) -> int:
     """Train and save."""
     out = model_target(options.out)
-    require_folds(options, "choose", "confidence")
+    require_folds(options, "choose", "confidence", *["folds"] * bool(options.folds))
     if options.choose:
         require_alone("choosing options")
     if options.confidence:
         require_alone("learning a confidence")
     found = read_faces(options)
     require_people(found, options.confidence)
-    read = GreyPictures() if options.confidence or options.choose else read_grey
-    of_training = training_options(options, found.scheme, options.method)
+    complete = [face for face in found.faces if face.complete]
+    folds = _folds(options.folds, complete, found.scheme)
+    if folds:
+        require_alone("testing in folds")
+    read = GreyPictures() if options.confidence or options.choose or folds else read_grey
+    of_training = training_options(options, found.scheme, options.method, len(complete))
     chosen = None
     with Bars() as bars:
         how: dict[str, Any] = {"method": options.method, "progress": bars, "read": read}
@@ -91,6 +110,8 @@ def run(options: argparse.Namespace) -> int:
         if is_first():
             save(model, out)
         reached = _reached(model, found.faces, read, bars)
+        how |= {"options": of_training, "folds": folds}
+        held_out = evaluate_held_out(found.faces, found.scheme, **how) if folds else {}
     if not is_first():
         return 0
     report_problems([*found.problems, *trained.problems])
@@ -101,11 +122,37 @@ def run(options: argparse.Namespace) -> int:
     size = out.stat().st_size / 2**20
     say(f"{out}: {options.method}, {found.scheme.name}, trained on {trained.faces} faces, {size:.1f} MiB")
     say(reached)
+    for kind, result in held_out.items():
+        say(_on_others(kind, result, folds))
+    if trained.faces < _TOO_FEW:
+        warn([f"only {trained.faces} faces to learn from: label {_TOO_FEW} or more, better 50, for lower errors"])
     known = model.known_placements
     say(f"boxes it knows: {', '.join(known)}")
     if not options.no_detectors and len(known) == 1:
         say("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
     return 0
+
+
+def _folds(given: int | None, faces: Sequence[FaceRecord], scheme: Scheme) -> int:
+    """In how many folds a training is tested, of faces that it can learn from; 0: in none."""
+    subjects = len({face.subject for face in faces})
+    if given is not None:
+        if given > subjects:
+            raise InputError(f"--folds: expected at most the number of subjects, {subjects}; got {given}")
+        return given
+    few = scheme.name not in SCHEMES and subjects >= _FOLDS and len(faces) <= _FEW
+    return _FOLDS if few and jax.process_count() == 1 else 0
+
+
+def _on_others(kind: str, result: Evaluation, folds: int) -> str:
+    """What errors models left on faces that they had not learned from."""
+    errors = result.errors[np.isfinite(result.errors)]
+    start = "whole pictures" if kind == WHOLE else "boxes like those around landmarks"
+    return (
+        f"on faces that it did not learn from, in {folds} folds, from {start}: mean error {errors.mean():.4f}, median "
+        f"{np.median(errors):.4f}, 90 % below {np.quantile(errors, 0.9):.4f}, relative to "
+        f"{NORMALISERS[result.normaliser].title}; mean {np.nanmean(result.distances):.3g} pixels"
+    )
 
 
 def _reached(model: Model, faces: Sequence[FaceRecord], read: Read, progress: Progress) -> str:

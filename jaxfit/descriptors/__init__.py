@@ -9,6 +9,11 @@ from jaxfit.errors import InputError
 DESCRIPTORS: dict[str, type[Sift] | type[Dense]] = {"sift": Sift, "dense": Dense}
 
 
+def kind_of(descriptor: Descriptor) -> str:
+    """What a descriptor is called in ``DESCRIPTORS``."""
+    return next(name for name, kind in DESCRIPTORS.items() if type(descriptor) is kind)
+
+
 def descriptor_like(usual: Descriptor, kind: str) -> Descriptor:
     """The usual descriptor if it is of this kind, or one that is, whose windows turn if those of the usual one do.
 

@@ -12,17 +12,18 @@ from jaxfit.descriptors.normalise import NORMALISATIONS, require_choices
 from jaxfit.errors import InputError
 from jaxfit.image.frame import Frame
 from jaxfit.image.sampling import split
-from jaxfit.types import Crop, Features, Point, Scalar
+from jaxfit.types import Crop, Features, Picture, Point, Scalar
 
 CELLS = 4
 BINS = 8
 ORIENTATIONS = ("upright", "face")
 # Crop pixels at each edge that smoothing and differences use up.
 _MARGIN = 2
-# Side of the squares of each of the maps, in crop pixels.
-_STRIDES = (2, 4)
-# Side of a cell, in crop pixels, from which it is looked up in the coarse map.
+# Side of the squares of the fine map and of the coarse ones, in pixels of the picture that each is made of.
+_FINE, _COARSE = 2, 4
+# Side of a cell, in crop pixels, from which it is looked up in a coarse map.
 _COARSE_CELL = 4.5
+ZOOMS = (1, 2, 4, 8)
 # Added to squared lengths, as the root has no derivative at flat places; pixels count in the thousands.
 _TINY = 1e-6
 _SECTOR = 2 * math.pi / BINS
@@ -33,11 +34,9 @@ Map = Float[Array, "down across 8"]
 Histograms = Float[Array, "16 8"]
 
 
-class Maps(NamedTuple):
-    """Gradient magnitudes by orientation, summed over squares of 2 × 2 and of 4 × 4 pixels of the crop."""
-
-    fine: Map
-    coarse: Map
+# Gradient magnitudes by orientation, summed over squares of 2 × 2 and of 4 × 4 pixels of the crop; and over those of
+# 4 × 4 pixels of the crop shrunk to a half, to a quarter, and so on.
+Maps = tuple[Float[Array, "_ _ 8"], ...]
 
 
 class Places(NamedTuple):
@@ -58,21 +57,32 @@ class Dense:
     orientations next to its own, and no weight falls towards the window's edge. (Sums of orientation maps are also what
     DAISY is made of; Tola, Lepetit and Fua, 2010.)
 
+    With ``zoom``, crops show faces at so many times the resolution: steps in large windows look at the crop shrunk to
+    the usual size, and later ones, whose windows are small, at more and more of its detail. The precision of fits then
+    ends no longer at the pixels of a small face.
+
     Attributes:
         orientation: ``"upright"`` keeps the picture's axes; ``"face"`` turns the window with the face.
         normalisation: as `Sift` has it.
+        zoom: how many times finer than usual crops are: 1, 2, 4 or 8.
+
+    Raises:
+        InputError: an unknown orientation or normalisation, or another zoom.
     """
 
     orientation: Literal["upright", "face"] = "upright"
     normalisation: Literal["cell", "root", "vector"] = "vector"
+    zoom: int = 1
 
     def __post_init__(self) -> None:
         require_choices(self.orientation, ORIENTATIONS, self.normalisation)
+        if self.zoom not in ZOOMS or type(self.zoom) is not int:
+            raise InputError(f"expected a zoom of {', '.join(map(str, ZOOMS))}; got {self.zoom!r}")
 
     @property
     def frame(self) -> Frame:
         """The crops that suit it."""
-        return Frame(crop=116, face=64.0)
+        return Frame(crop=116 * self.zoom, face=64.0 * self.zoom)
 
     @property
     def size(self) -> int:
@@ -87,23 +97,35 @@ class Dense:
     @property
     def levels(self) -> int:
         """One for each map."""
-        return len(_STRIDES)
+        return 1 + self._octaves
+
+    @property
+    def _octaves(self) -> int:
+        """How many pictures there are to look at: the crop, its half, and so on."""
+        return self.zoom.bit_length()
 
     def level(self, window: Scalar) -> Int[Array, ""]:
         """The map whose squares suit a window's cells."""
-        return (window / CELLS > _COARSE_CELL).astype(jnp.int32)
+        finest = [_COARSE_CELL * 2**octave for octave in range(self._octaves)]
+        return sum(((window / CELLS > cell).astype(jnp.int32) for cell in finest), start=jnp.zeros((), jnp.int32))
 
     def prepare(self, crop: Crop) -> Maps:
-        """The fine and the coarse map of a crop.
+        """The fine and the coarse maps of a crop.
 
         Raises:
-            InputError: the crop's side is not a multiple of 4.
+            InputError: the crop's side is not a multiple of 4, times the zoom.
         """
-        if crop.shape[0] != crop.shape[1] or crop.shape[0] % 4:
-            raise InputError(f"expected square crops with a side that is a multiple of 4 pixels; got {crop.shape}")
-        fine = pooled(*gradients(crop))
-        quads = fine.reshape(len(fine) // 2, 2, len(fine) // 2, 2, BINS)
-        return Maps(fine, quads[:, 0, :, 0] + quads[:, 0, :, 1] + quads[:, 1, :, 0] + quads[:, 1, :, 1])
+        if crop.shape[0] != crop.shape[1] or crop.shape[0] % (4 * self.zoom):
+            raise InputError(
+                f"expected square crops with a side that is a multiple of {4 * self.zoom} pixels; got {crop.shape}"
+            )
+        picture = crop.astype(jnp.float32)
+        fine = pooled(*gradients(picture))
+        maps = [fine, summed(fine)]
+        for _ in range(1, self._octaves):
+            picture = summed(picture[..., None])[..., 0] / 4
+            maps.append(summed(pooled(*gradients(picture))))
+        return tuple(maps)
 
     def aim(self, prepared: Maps, level: int, point: Point, side: Scalar, angle: Scalar) -> Places:
         """Where in the map the 4 × 4 cells (rows first) of the window of ``side`` pixels around ``point`` lie."""
@@ -113,7 +135,11 @@ class Dense:
             cos, sin = jnp.cos(angle), jnp.sin(angle)
             x, y = x * cos - y * sin, x * sin + y * cos
         x, y = point[0] + x.reshape(-1), point[1] + y.reshape(-1)
-        return places(x, y, len(prepared[level]), _STRIDES[level])
+        if level < 2:
+            return places(x, y, len(prepared[level]), (_FINE, _COARSE)[level])
+        shrunk = 2 ** (level - 1)
+        x, y = ((each - (shrunk - 1) / 2) / shrunk for each in (x, y))
+        return places(x, y, len(prepared[level]), _COARSE)
 
     def describe(self, prepared: Maps, level: int, aim: Places, angle: Scalar) -> Histograms:
         """The histograms of the 4 × 4 cells (rows first)."""
@@ -125,9 +151,8 @@ class Dense:
         return NORMALISATIONS[self.normalisation](histograms)
 
 
-def gradients(crop: Crop) -> tuple[Differences, Differences]:
-    """Differences dx, dy between neighbours in the crop smoothed by [1 2 1] in both directions, without its margin."""
-    pixels = crop.astype(jnp.float32)
+def gradients(pixels: Picture) -> tuple[Differences, Differences]:
+    """Differences dx, dy between neighbours in a picture smoothed by [1 2 1] in both directions, without its margin."""
     across = pixels[:, :-2] + 2 * pixels[:, 1:-1] + pixels[:, 2:]
     smoothed = across[:-2] + 2 * across[1:-1] + across[2:]
     return smoothed[1:-1, 2:] - smoothed[1:-1, :-2], smoothed[2:, 1:-1] - smoothed[:-2, 1:-1]
@@ -144,6 +169,12 @@ def pooled(dx: Differences, dy: Differences) -> Map:
     """Orientations of gradients, summed over squares of 2 × 2 pixels."""
     parts = [orientations(dx[i::2, j::2], dy[i::2, j::2]) for i in (0, 1) for j in (0, 1)]
     return sum(parts[1:], start=parts[0])
+
+
+def summed(squares: Float[Array, "down across values"]) -> Float[Array, "half_down half_across values"]:
+    """Sums over 2 × 2 squares."""
+    quads = squares.reshape(len(squares) // 2, 2, len(squares) // 2, 2, -1)
+    return quads[:, 0, :, 0] + quads[:, 0, :, 1] + quads[:, 1, :, 0] + quads[:, 1, :, 1]
 
 
 def places(x: Float[Array, "points"], y: Float[Array, "points"], squares: int, stride: int) -> Places:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxfit.errors import InputError
 from jaxfit.image.sampling import bilinear, pack
-from jaxfit.types import Picture, Point, Scalar
+from jaxfit.types import Crop, Picture, Point, Scalar
 
 _BLURS = 4  # times [1 2 1] in both directions, at most
 _GRAIN = 256  # side of the pattern that all noise is cut from, in pixels
@@ -86,6 +86,14 @@ def draw_warp(key: Array, amounts: Disturbance, about: Point) -> Warp:
     turned = jnp.array([[cos, -sin], [sin, cos]])
     sheared = jnp.array([[1.0, shear], [0.0, 1.0]])
     return Warp(jnp.matmul(turned, sheared) * jnp.exp(amounts.log_scale * grow), about)
+
+
+def disturbed(key: Array, crop: Crop, amounts: Disturbance) -> tuple[Crop, Warp]:
+    """A crop (H, H) warped about its middle, and spoiled; and how it was warped."""
+    of_warp, of_picture = random.split(key)
+    warp = draw_warp(of_warp, amounts, jnp.full(2, (len(crop) - 1) / 2, jnp.float32))
+    picture = spoiled(of_picture, warp.picture(crop.astype(jnp.float32)), amounts)
+    return jnp.clip(jnp.round(picture), 0, 255).astype(jnp.uint8), warp
 
 
 def spoiled(key: Array, picture: Picture, amounts: Disturbance) -> Picture:

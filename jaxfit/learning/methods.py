@@ -10,11 +10,13 @@ import numpy as np
 
 from jaxfit.cascade.greedy import Greedy
 from jaxfit.cascade.starts import Starts
+from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.descriptor import Descriptor
 from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.image.frame import Frame
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.asm import likely_radius
 from jaxfit.shapes.camera_asm import CameraASM
@@ -147,6 +149,26 @@ def method_named(name: str) -> Method:
 def default_descriptor(method: str, starts: Starts) -> Descriptor:
     """What is seen at a landmark by default: from several starts, in windows that turn with the face."""
     return METHODS[method].descriptor if starts.count == 1 else Sift("face")
+
+
+# Of schemes of one's own: as many disturbed copies as make so many faces of few, and at most so many of each.
+_ENOUGH, _MOST_COPIES = 400, 9
+
+
+def options_for(scheme: Scheme, faces: int) -> Options:
+    """The options that models are trained with unless something else is asked for.
+
+    Of objects in a scheme of one's own there are few pictures, often large ones, and nothing is known of how they lie:
+    models learn from disturbed copies as well, from starts that are spread wider, at twice the resolution.
+
+    Args:
+        scheme: what the landmarks mean.
+        faces: how many are learned from.
+    """
+    if scheme.name in SCHEMES:
+        return Options()
+    copies = min(_MOST_COPIES, max(0, _ENOUGH // max(faces, 1) - 1))
+    return Options(greedy=Greedy(spread=1.4, copies=copies), descriptor=Dense(zoom=2))
 
 
 def view_of(method: str, options: Options) -> tuple[Descriptor, Frame]:

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from jaxfit import __version__
-from jaxfit.cascade.greedy import SharedAxes, train_cascade
+from jaxfit.cascade.greedy import SharedAxes, train_cascade, with_copies
 from jaxfit.data.boxes import bounding_square, jitter
 from jaxfit.data.detectors import best_match, detector_named
 from jaxfit.data.detectors.whole import KIND as WHOLE
@@ -138,7 +138,7 @@ def train(
         space,
         descriptor,
         frame,
-        replace(learned, numbers=numbers, of=count),
+        with_copies(replace(learned, numbers=numbers, of=count), options.greedy.copies, seed),
         placement.spread,
         options.greedy,
         turn=options.starts.turn,

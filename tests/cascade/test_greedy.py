@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 from blobs import FRAME, MEAN, SPACE, SPREAD, Patch, blob_faces, mean_error, shape_model_space, training_set
 from jax import numpy as jnp
+from scipy import ndimage
 
 from jaxfit.cascade import greedy
 from jaxfit.cascade.fit import fit_crops
-from jaxfit.cascade.greedy import Greedy, SharedAxes, TrainingSet, sample_starts, train_cascade
+from jaxfit.cascade.greedy import Greedy, SharedAxes, TrainingSet, sample_starts, train_cascade, with_copies
 from jaxfit.cascade.starts import Spread, Starts
 from jaxfit.cascade.state import State
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
 from jaxfit.errors import InputError
+from jaxfit.image.disturb import Disturbance
 
 COUNT = 40
 CROPS, LANDMARKS = blob_faces(COUNT, seed=0)
@@ -55,6 +57,32 @@ def error_after(cascade, steps, crops=CROPS, landmarks=LANDMARKS):
     weights = tuple(keep * of_step for keep, of_step in zip(kept, cascade.weights, strict=True))
     shortened = replace(cascade, weights=weights, biases=jnp.array(kept)[:, None] * cascade.biases)
     return mean_error(fit_crops(shortened, crops), landmarks)
+
+
+def test_copies_show_at_their_landmarks_what_the_faces_show_and_depend_on_nothing_else():
+    flipped = np.arange(COUNT) % 2 == 1
+    faces = replace(training_set(CROPS, LANDMARKS), mirrored=flipped, numbers=np.arange(COUNT), of=COUNT)
+    copied = with_copies(faces, 2, seed=0, amounts=Disturbance(blur=0.0, noise=0.0, hidden=0.0))
+    assert (len(copied.source), copied.of) == (3 * COUNT, 3 * COUNT)
+    np.testing.assert_array_equal(copied.numbers, np.arange(3 * COUNT))
+    assert not copied.mirrored[COUNT:].any()
+
+    def seen(faces, row):
+        crop = faces.crops[faces.source[row]]
+        crop = crop[:, ::-1] if faces.mirrored[row] else crop
+        return ndimage.map_coordinates(crop.astype(float), faces.landmarks[row].T[::-1], order=1, mode="nearest")
+
+    before, after = (np.array([seen(copied, row) for row in rows]) for rows in (range(COUNT), range(COUNT, 2 * COUNT)))
+    assert np.abs(after - before).mean() < 10
+    assert np.abs(copied.landmarks[COUNT : 2 * COUNT] - LANDMARKS).mean() > 0.5
+    rows = np.array([3, 8])  # as another process has them
+    own = replace(faces, source=rows, **{n: getattr(faces, n)[rows] for n in ("landmarks", "mirrored", "pivots")})
+    own = with_copies(replace(own, numbers=rows), 2, seed=0)
+    every = with_copies(faces, 2, seed=0)
+    places = np.concatenate([rows, rows + COUNT, rows + 2 * COUNT])
+    np.testing.assert_array_equal(own.numbers, places)
+    np.testing.assert_array_equal(own.crops[own.source], every.crops[every.source[places]])
+    np.testing.assert_array_equal(own.landmarks, every.landmarks[places])
 
 
 @pytest.mark.parametrize(

@@ -54,10 +54,10 @@ def test_options_of_greedy_training_are_its_fields() -> None:
     add_training(command)
     assert given_greedy(command.parse_args([])) == Greedy()
     values = {"windows": ["0.3", "0.2"], "augmentations": ["2"], "variance": ["0.8"], "ridge": ["0.5"]}
-    values |= {"rank": ["3"], "spread": ["1.5"], "seed": ["7"]}
+    values |= {"rank": ["3"], "spread": ["1.5"], "seed": ["7"], "copies": ["4"]}
     assert list(values) == [field.name for field in fields(Greedy)]
     words = [word for name, given in values.items() for word in (f"--{name}", *given)]
-    assert given_greedy(command.parse_args(words)) == Greedy((0.3, 0.2), 2, 0.8, 0.5, 3, 1.5, 7)
+    assert given_greedy(command.parse_args(words)) == Greedy((0.3, 0.2), 2, 0.8, 0.5, 3, 1.5, 7, 4)
 
 
 def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,6 +1,10 @@
 """Objects that are no faces, by the commands alone: labels as other programs write them, schemes of one's own."""
 
 import json
+import re
+from contextlib import redirect_stderr, redirect_stdout
+from importlib import import_module
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -36,9 +40,37 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         specimens += f"LM=5\n{rows}IMAGE=o{number}.png\nID={number}\n"
     (folder / "l.tps").write_text(specimens + "LM=0\nIMAGE=o0.png\n")
     (folder / "fly.toml").write_text(SCHEME)
-    options = ["--scheme", str(folder / "fly.toml"), "--out", str(folder / "fly.safetensors"), *TRAIN]
-    assert main(["train", "--data", str(folder / "l.tps"), *options]) == 0
+    options = ["--scheme", str(folder / "fly.toml"), "--out", str(folder / "fly.safetensors"), *TRAIN, "--folds", "2"]
+    with (
+        redirect_stdout(StringIO()) as out,
+        redirect_stderr(StringIO()) as warnings,
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        # How six objects of a fold lie in their pictures is then learned, too.
+        patch.setattr(import_module("jaxfit.learning.train"), "_FEWEST_DETECTED", 6)
+        assert main(["train", "--data", str(folder / "l.tps"), *options]) == 0
+    (folder / "out.txt").write_text(out.getvalue() + warnings.getvalue())
     return folder
+
+
+def test_training_says_what_errors_it_leaves_on_others_and_that_faces_are_few(folder: Path) -> None:
+    said = (folder / "out.txt").read_text()
+    for start in ("whole pictures", "boxes like those around landmarks"):
+        found = re.search(
+            rf"did not learn from, in 2 folds, from {start}: mean error (0\.\d+), .* ([\d.]+) pixels", said
+        )
+        assert found, said
+        assert 0.1 < float(found[2]) < 6
+    assert "only 12 faces to learn from" in said
+
+
+@pytest.mark.parametrize(("folds", "expected"), [("1", "expected 2 folds or more"), ("13", "number of subjects, 12")])
+def test_wrong_folds_are_refused_before_the_work(
+    folds: str, expected: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train = ["train", "--data", str(folder / "l.tps"), "--out", str(folder / "no.safetensors"), "--folds", folds]
+    assert main(train) == 2
+    assert expected in capsys.readouterr().err
 
 
 def test_models_keep_what_a_scheme_says(folder: Path) -> None:
@@ -73,6 +105,19 @@ def test_whole_pictures_are_fitted_and_go_back_to_the_labelling_program(folder: 
         assert not found.problems
         assert [face.image.resolve() for face in found.faces] == [Path(picture).resolve() for picture in pictures]
         np.testing.assert_allclose([face.landmarks for face in found.faces], points, atol=tolerance)
+
+
+def test_suggested_pictures_come_with_labels_to_correct(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "next.tps"
+    pictures = [str(folder / f"o{number}.png") for number in range(5)]
+    suggest = ["suggest", str(folder / "fly.safetensors"), *pictures, "--out", str(out), "--count"]
+    assert main([*suggest, "3"]) == 0
+    faces = read_dataset(str(out)).faces
+    labelled = {face.image.resolve(): face for face in read_dataset(str(folder / "l.tps")).faces if face.complete}
+    assert len({face.image for face in faces}) == len(faces) == 3
+    for face in faces:
+        assert np.abs(face.landmarks - labelled[face.image.resolve()].landmarks).mean() < 4
+    assert main([*suggest, "0"]) == 2
 
 
 def test_labels_without_names_are_taken_for_the_models(folder: Path) -> None:

@@ -18,8 +18,8 @@ SMALL, LARGE = 12.0, 24.0  # windows that are looked up in the fine map, and in 
 
 
 @cache
-def describer(orientation="upright", normalisation="vector"):
-    dense = Dense(orientation, normalisation)
+def describer(orientation="upright", normalisation="vector", zoom=1):
+    dense = Dense(orientation, normalisation, zoom)
     return jax.jit(lambda crop, *where: describe_point(dense, dense.prepare(crop), *where))
 
 
@@ -58,6 +58,25 @@ def by_hand(crop, point, side, stride):
 def test_is_its_definition(point, side, stride):
     crop = textured()
     np.testing.assert_allclose(describe(crop, point, side), by_hand(crop, point, side, stride), atol=2e-5)
+
+
+@pytest.mark.parametrize(("zoom", "side", "shrunk"), [(2, LARGE, 1), (2, 40.0, 2), (4, 40.0, 2), (4, 90.0, 4)])
+def test_zoomed_crops_are_seen_at_the_resolution_that_suits_the_window(zoom, side, shrunk):
+    small = textured()[:48, :48]
+    crop = np.repeat(np.repeat(small, shrunk, 0), shrunk, 1)[:144, :144]
+    crop = np.pad(crop, ((0, -len(crop) % (4 * zoom)),) * 2, mode="edge")
+    point = np.float32([60.2, 40.7])
+    found = describer(zoom=zoom)(crop, point, np.float32(side), np.float32(0))
+    pictures = crop.reshape(len(crop) // shrunk, shrunk, -1, shrunk).mean((1, 3)).astype(np.uint8)
+    where = (point - (shrunk - 1) / 2) / shrunk, np.float32(side / shrunk), np.float32(0)
+    usual = describer()(pictures, *where)
+    np.testing.assert_allclose(found, usual, atol=2e-5)
+
+
+@pytest.mark.parametrize("zoom", [0, 3, 16, True])
+def test_other_zooms_are_refused(zoom):
+    with pytest.raises(InputError, match="expected a zoom of 1, 2, 4, 8"):
+        Dense(zoom=zoom)
 
 
 def test_is_a_descriptor_of_vectors_of_length_one():

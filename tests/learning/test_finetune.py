@@ -101,7 +101,7 @@ def test_depths_stay_those_of_the_disturbed_picture(head_models, heads) -> None:
     faces = replace(faces, landmarks=np.asarray(seen))
     batch = finetune._batch_of(faces, finetune._depths(model.cascade, faces), np.arange(4))
     amounts = Disturbance(0.4, 0.3, 0.0, 0.0, 0.0, 0.0)
-    disturbed = finetune._disturbed(random.key(0), batch, amounts, model.cascade.frame.middle)
+    disturbed = finetune._disturbed(random.key(0), batch, amounts)
     again = finetune._depths(model.cascade, replace(faces, landmarks=np.asarray(disturbed.landmarks)))
     ratio = np.ptp(again, axis=1) / np.ptp(batch.depths, axis=1)
     assert np.abs(ratio - 1).max() > 0.1

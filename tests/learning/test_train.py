@@ -8,7 +8,7 @@ import pytest
 from jaxfit.errors import InputError
 from jaxfit.heads.model import load_head_model
 from jaxfit.labels.records import FaceRecord
-from jaxfit.learning.methods import Options
+from jaxfit.learning.methods import Options, options_for
 from jaxfit.learning.train import train
 from jaxfit.schemes.known import AFLW21, NO_LANDMARKS
 from jaxfit.schemes.scheme import Scheme
@@ -26,6 +26,16 @@ def complaints(*faces: FaceRecord) -> str:
     with pytest.raises(InputError, match="at least two readable pictures; got 0") as raised:
         train(faces, AFLW21, method="regression3d")
     return str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "faces", "copies"),
+    [(AFLW21, 10, 0), (Scheme("points9", 9), 10, 9), (Scheme("points9", 9), 95, 3), (Scheme("points9", 9), 9999, 0)],
+)
+def test_few_objects_of_ones_own_are_learned_from_several_times(scheme: Scheme, faces: int, copies: int) -> None:
+    options = options_for(scheme, faces)
+    assert options.greedy.copies == copies
+    assert (options == Options()) == (scheme == AFLW21)
 
 
 def test_labels_on_a_line_are_left_out_and_reported() -> None:
