@@ -137,6 +137,7 @@ def test_a_collection_goes_on_only_with_the_same_settings(fitter: BatchFitter) -
         "refine": True,
         "max_megapixels": 3.0,
         "unshift": True,
+        "heads": True,
     }
     assert {*others, "cores"} == {field.name for field in fields(BatchFitter)}
     for name, value in others.items():
