@@ -42,13 +42,14 @@ SLOW_FILES = {
     ),
     *("test_bundled_3d", "test_parametric68", "test_conversions", "test_lifting"),
     *("test_datasets", "test_detectors", "test_evaluate", "test_plots", "test_turned"),
+    *("test_aflw", "test_aflw2000", "test_pointing04", "test_head_models"),
 }
 # What runs all commands of the documents, trains or exports many models, or measures: left out of `make test`, too.
 LONG_FOLDERS = {"scripts"}
 LONG_FILES = {
     *("test_notebooks", "test_readme", "test_site", "test_modes"),
-    *("test_cascade", "test_tuning", "test_finetune", "test_learn_confidence", "test_experiments"),
-    *("test_evaluate_command", "test_finetune_command", "test_train_command", "test_processes"),
+    *("test_cascade", "test_tuning", "test_finetune", "test_learn_confidence", "test_experiments", "test_choose"),
+    *("test_collect", "test_evaluate_command", "test_finetune_command", "test_train_command", "test_processes"),
     *("test_bundled_3d", "test_parametric68", "test_export", "test_endurance", "test_faults", "test_twins"),
 }
 
