@@ -238,6 +238,7 @@ class Fits:
         entries += [(problem.picture, 1, problem) for problem in faceless]
         found: Counter[int] = Counter()
         ok = self.ok.tolist()
+        opened = {name: rounded(values) for name, values in self.openness.items()}
         for picture, _, entry in sorted(entries, key=lambda entry: entry[:2]):
             row: Row = {"image": self.names[picture]}
             if isinstance(entry, Problem):
@@ -245,9 +246,11 @@ class Fits:
                 continue
             found[picture] += 1
             label = PurePath(self.names[picture]).stem if labels is None else labels[picture]
-            yield row | {"face": f"{label}_{found[picture]}"} | self._row(entry, picture, ok[entry], why.get(entry))
+            openness = {name: values[entry] for name, values in opened.items()}
+            row |= {"face": f"{label}_{found[picture]}"}
+            yield row | self._row(entry, picture, ok[entry], openness, why.get(entry))
 
-    def _row(self, row: int, picture: int, ok: bool, problem: str | None) -> Row:
+    def _row(self, row: int, picture: int, ok: bool, openness: dict[str, float], problem: str | None) -> Row:
         width, height = self.sizes[picture].tolist()
         x, y, across, down = rounded(self.boxes[row])
         entry: Row = {
@@ -259,9 +262,8 @@ class Fits:
         if problem is not None:
             return entry | {PROBLEM: problem}
         entry["landmarks"] = rounded(self.landmarks[row])
-        if openings := openings_of(self.scheme):
-            values = rounded(openness(self.landmarks[row], self.scheme))
-            entry["openness"] = dict(zip((opening.name for opening in openings), values, strict=True))
+        if openness:
+            entry["openness"] = openness
         if self.confidence is not None:
             entry["confidence"] = rounded(self.confidence[row])
         if self.pose is not None and self.scale is not None and self.landmarks_3d is not None and self.b is not None:
