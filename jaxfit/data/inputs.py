@@ -5,6 +5,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -21,26 +22,27 @@ def open_regular(path: str | Path, most_bytes: int | None = None) -> IO[bytes]:
     Raises:
         OSError: it is no such file, or cannot be opened.
     """
+    return open(path, "rb", buffering=0, opener=partial(_open_regular, most_bytes))
 
-    def opener(name: str, flags: int) -> int:
-        try:
-            descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
-        except BlockingIOError:  # a file that another program wants to have written first: no pipe
-            descriptor = os.open(name, flags)
-        try:
-            found = os.fstat(descriptor)
-            if stat.S_ISDIR(found.st_mode):
-                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
-            if not stat.S_ISREG(found.st_mode):
-                raise OSError(errno.EINVAL, "a device or pipe, and not a regular file")
-            if most_bytes is not None and found.st_size > most_bytes:
-                raise OSError(errno.EFBIG, f"expected a file of at most {most_bytes:,} bytes; it has {found.st_size:,}")
-        except BaseException:
-            os.close(descriptor)
-            raise
-        return descriptor
 
-    return open(path, "rb", buffering=0, opener=opener)
+def _open_regular(most_bytes: int | None, name: str, flags: int) -> int:
+    """The descriptor of a regular file."""
+    try:
+        descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
+    except BlockingIOError:  # a file that another program wants to have written first: no pipe
+        descriptor = os.open(name, flags)
+    try:
+        found = os.fstat(descriptor)
+        if stat.S_ISDIR(found.st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not stat.S_ISREG(found.st_mode):
+            raise OSError(errno.EINVAL, "a device or pipe, and not a regular file")
+        if most_bytes is not None and found.st_size > most_bytes:
+            raise OSError(errno.EFBIG, f"expected a file of at most {most_bytes:,} bytes; it has {found.st_size:,}")
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
 
 
 def read_regular(path: str | Path, most_bytes: int) -> bytes:

@@ -135,11 +135,14 @@ def _limited(rows: Iterable[tuple]) -> Iterator[tuple]:
 def _points(database: sqlite3.Connection) -> dict[int, np.ndarray]:
     """Face number to landmarks (21, 2), NaN where there is no row."""
     points: dict[int, np.ndarray] = {}
-    for face, feature, x, y in _limited(database.execute(_POINTS)):
+    rows = list(_limited(database.execute(_POINTS)))
+    places = _numbers([cell for row in rows for cell in row[2:]]).reshape(-1, 2)
+    for (face, feature, *_), place in zip(rows, places, strict=True):
         if not isinstance(feature, int) or not 1 <= feature <= AFLW21.count:
             raise sqlite3.DataError(f"feature_id {feature!r} of face {face} is not one of 1 to {AFLW21.count}")
-        landmarks = points.setdefault(face, np.full((AFLW21.count, 2), np.nan))
-        landmarks[feature - 1] = _numbers([x, y])
+        if face not in points:
+            points[face] = np.full((AFLW21.count, 2), np.nan)
+        points[face][feature - 1] = place
     return points
 
 
