@@ -26,6 +26,7 @@ from jaxfit.labels.datasets import FORMATS
 from jaxfit.learning.methods import Options, default_descriptor, options_for
 from jaxfit.models.files import DEFAULT_MODEL, SUFFIX
 from jaxfit.schemes.known import SCHEMES
+from jaxfit.schemes.normalisers import NORMALISERS
 from jaxfit.schemes.scheme import Scheme
 
 _DEFAULT = Options()
@@ -77,18 +78,34 @@ def add_max_megapixels(command: argparse.ArgumentParser) -> None:
     )
 
 
-def add_pictures(command: argparse.ArgumentParser) -> None:
-    """Pictures to fit, ``--recursive`` and ``--model NAME``."""
+def add_pictures(command: argparse.ArgumentParser, what: str = "pictures") -> None:
+    """Pictures to fit, and ``--recursive``."""
     command.add_argument(
         "pictures",
         nargs="+",
         metavar="IMAGE_OR_DIR",
-        help="pictures, folders of pictures, or patterns such as 'a/*.jpg'",
+        help=f"{what}, folders of pictures, or patterns such as 'a/*.jpg'",
     )
     command.add_argument("--recursive", action="store_true", help="take pictures in folders within the folders, too")
     add_max_megapixels(command)
+
+
+def add_model(command: argparse.ArgumentParser) -> None:
+    """``--model NAME``."""
     command.add_argument(
         "--model", default=DEFAULT_MODEL, help=f"a bundled model's name or a model file (default: {DEFAULT_MODEL})"
+    )
+
+
+def add_normaliser(command: argparse.ArgumentParser) -> None:
+    """``--normaliser NAME``."""
+    command.add_argument(
+        "--normaliser",
+        choices=NORMALISERS,
+        help="what distances are divided by: outer eye corners, pupil centres, bounding square, the root of the "
+        "bounding box's area, its diagonal, centroid size, or the ends that a scheme of your own names (default: what "
+        "the scheme says, or the outer eye corners; the square where labels have none, or faces are turned by over 45 "
+        "degrees)",
     )
 
 

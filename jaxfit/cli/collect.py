@@ -5,6 +5,7 @@ import argparse
 from jaxfit.cli.arguments import (
     add_detector,
     add_heads,
+    add_model,
     add_pictures,
     add_refine,
     add_starts,
@@ -30,6 +31,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "started again; of a collection that has grown, what is new is fitted.",
     )
     add_pictures(command)
+    add_model(command)
     add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_heads(command)

@@ -8,6 +8,7 @@ from jaxfit.cli.arguments import (
     add_boxes,
     add_datasets,
     add_detector,
+    add_normaliser,
     add_starts,
     given_fitting,
     seed,
@@ -56,13 +57,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_boxes(command, "models start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%")
     add_detector(command, "models start from the boxes in which this detector finds the faces")
     command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
-    command.add_argument(
-        "--normaliser",
-        choices=NORMALISERS,
-        help="what distances are divided by: outer eye corners, pupil centres, bounding square, the root of the "
-        "bounding box's area, its diagonal, centroid size, or the ends that a scheme of your own names (default: as "
-        "for evaluate)",
-    )
+    add_normaliser(command)
     command.add_argument(
         "--protocol",
         choices=PROTOCOLS,

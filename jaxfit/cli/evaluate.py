@@ -13,6 +13,7 @@ from jaxfit.cli.arguments import (
     add_datasets,
     add_detector,
     add_heads,
+    add_normaliser,
     add_refine,
     add_starts,
     given_fitting,
@@ -67,13 +68,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     )
     add_detector(command, "start from the boxes in which this detector finds the faces")
     command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
-    command.add_argument(
-        "--normaliser",
-        choices=NORMALISERS,
-        help="what distances are divided by: outer eye corners, pupil centres, bounding square, centroid size, or the "
-        "ends that a scheme of your own names (default: what the scheme says, or the outer eye corners; the square "
-        "where labels have none, or faces are turned by over 45 degrees)",
-    )
+    add_normaliser(command)
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_heads(command)
     add_refine(command)

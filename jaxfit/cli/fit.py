@@ -8,6 +8,7 @@ from jaxfit.cli.arguments import (
     add_camera,
     add_detector,
     add_heads,
+    add_model,
     add_pictures,
     add_refine,
     add_starts,
@@ -34,6 +35,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "and other formats, overlay pictures, and problems.csv. A run that was stopped goes on when started again.",
     )
     add_pictures(command)
+    add_model(command)
     add_boxes(command, "a detector finds the faces")
     add_detector(command, "finds the faces; unless given, yunet, a small network, or whole for models of other objects")
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")

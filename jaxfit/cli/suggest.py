@@ -2,7 +2,7 @@
 
 import argparse
 
-from jaxfit.cli.arguments import add_detector, add_max_megapixels, given_search
+from jaxfit.cli.arguments import add_detector, add_pictures, given_search
 from jaxfit.cli.progress import Bars, report_problems, say
 from jaxfit.data.inputs import require_no_inputs
 from jaxfit.data.pictures import find_images
@@ -22,13 +22,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "program that you label with.",
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
-    command.add_argument(
-        "pictures",
-        nargs="+",
-        metavar="IMAGE_OR_DIR",
-        help="pictures without labels, folders of them, or patterns such as 'a/*.jpg'",
-    )
-    command.add_argument("--recursive", action="store_true", help="take pictures in folders within the folders, too")
+    add_pictures(command, "pictures without labels")
     command.add_argument("--count", type=int, default=20, help="of pictures (default: 20)")
     command.add_argument(
         "--out",
@@ -38,7 +32,6 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "ends in .tps, .xml, .json or .csv",
     )
     add_detector(command, "what finds the objects, as in jaxfit fit")
-    add_max_megapixels(command)
     command.set_defaults(run=run)
 
 

@@ -27,10 +27,10 @@ from jaxfit.evaluation.fit_files import (
     read_fits,
 )
 from jaxfit.fitting.export import Exported, load_exported
-from jaxfit.fitting.exported import fit_exported
+from jaxfit.fitting.fit_exported import fit_exported
 from jaxfit.labels.datasets import convert_dataset, read_datasets
 from jaxfit.labels.importers.annotations import Annotation
-from jaxfit.labels.records import Dataset
+from jaxfit.labels.records import Dataset, FaceRecord
 from jaxfit.models.files import SUFFIX, bundled, load
 from jaxfit.models.model import SQUARE, Model
 from jaxfit.schemes.conversions import convertible, described
@@ -221,14 +221,9 @@ class ComparisonPlan:
             detected = self.starts.of(dataset.faces, "", progress)
         entries = []
         for contestant in self.contestants:
-            what, name = contestant.what, contestant.name
+            what = contestant.what
             if isinstance(what, FoundFaces):
-                of_pictures = self._found[name]
-                matched = match_faces(labels.faces, of_pictures, what.scheme, scheme)
-                fits = fits_of_matched(matched, labels.faces, what.scheme, scheme, contestant.posed)
-                there = sum(len(of_pictures.get(picture, ())) for picture in {face.image for face in labels.faces})
-                extra = there - sum(face is not None for face in matched)
-                entries.append(Entry(contestant, measure(fits, labels.faces, **how), OWN_BOXES, extra))
+                entries.append(self._entry_of_file(contestant, what, labels.faces, how))
                 continue
             assert self.starts is not None
             if isinstance(what, Exported):
@@ -247,9 +242,19 @@ class ComparisonPlan:
                 )
                 evaluation = measure(fits, labels.faces, model=what, seconds_per_face=seconds, learned=learned, **how)
             unboxed = "the dataset's" if dataset.scheme == NO_LANDMARKS else "around the labels"
-            drawn_by = self.starts.kinds or unboxed
-            entries.append(Entry(contestant, evaluation, drawn_by))
+            entries.append(Entry(contestant, evaluation, self.starts.kinds or unboxed))
         return Comparison(labels, scheme, normaliser, tuple(entries))
+
+    def _entry_of_file(
+        self, contestant: Contestant, what: FoundFaces, faces: Sequence[FaceRecord], how: Mapping[str, Any]
+    ) -> Entry:
+        """How a program did that wrote a file, on faces labelled in the scheme that errors are measured in."""
+        of_pictures, scheme = self._found[contestant.name], how["scheme"]
+        matched = match_faces(faces, of_pictures, what.scheme, scheme)
+        fits = fits_of_matched(matched, faces, what.scheme, scheme, contestant.posed)
+        there = sum(len(of_pictures.get(picture, ())) for picture in {face.image for face in faces})
+        extra = there - sum(face is not None for face in matched)
+        return Entry(contestant, measure(fits, faces, **how), OWN_BOXES, extra)
 
 
 def _own_labels(scheme: Scheme, dataset: Dataset) -> Dataset:

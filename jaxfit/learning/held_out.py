@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from jaxfit.data.detectors import all_rough
 from jaxfit.data.detectors.whole import KIND as WHOLE
 from jaxfit.data.pictures import GreyPictures, Read, picture_size
 from jaxfit.errors import ImageError
 from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.evaluate import Evaluation, evaluate
 from jaxfit.evaluation.folds import split_by_subject
+from jaxfit.fitting.pipeline import Fitting
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.methods import Options
 from jaxfit.learning.prepare import part_of, usable_faces
@@ -63,7 +65,7 @@ def evaluate_held_out(
         if WHOLE in model.placements:
             boxes[WHOLE] = np.stack([_whole_picture(face) for face in tested])
         for kind, of_kind in boxes.items():
-            passes = 2 if kind == WHOLE else 1  # as `fit` runs from whole pictures
+            passes = Fitting().passes_from(all_rough([kind]))
             starts = options.starts
             found[kind].append(evaluate(model, tested, of_kind, kind=kind, starts=starts, passes=passes, **how))
     return {kind: Evaluation.join(each) for kind, each in found.items() if len(each) == folds}
