@@ -97,18 +97,21 @@ def cut(grey: np.ndarray, centre: np.ndarray, face_side: float, crops: Crops, ro
     crops.pixels[row], crops.scale[row], crops.offset[row], crops.rotation[row] = found
 
 
-def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame, rotation: float = 0.0) -> Crop:
-    """The crop of a picture, grey for fits, that shows a face upright and at the frame's size in its middle.
+def cut_face(
+    picture: np.ndarray, centre: np.ndarray, face_side: float, frame: Frame, rotation: float = 0.0, colour: bool = False
+) -> Crop:
+    """The crop of a picture that shows a face upright and at the frame's size in its middle.
 
     Beyond the picture its edge pixels are repeated. Image points are where labels have them: at a ``frame.shift``,
     along the crop's axes, from the pixels that they mark.
 
     Args:
-        grey: (H, W) uint8; or (H, W, 3), which makes a crop in colour.
+        picture: (H, W) or (H, W, 3) RGB, uint8.
         centre: (2,) x, y of the image point that comes to the crop's centre, ``frame.middle``.
         face_side: how many image pixels become ``frame.face`` crop pixels.
         frame: the sizes.
         rotation: how far the face is turned in the picture, in radians, clockwise as seen.
+        colour: keep the colours of a picture that has some.
 
     Raises:
         InputError: the centre, the side or the rotation is not finite, or the side is not positive.
@@ -118,17 +121,21 @@ def cut_face(grey: np.ndarray, centre: np.ndarray, face_side: float, frame: Fram
         raise InputError(
             f"expected a finite centre and rotation and a positive face side; got {centre}, {rotation} and {face_side}"
         )
-    scale = float(face_side) / frame.face
+    scale, middle = float(face_side) / frame.face, frame.middle
     cos, sin = math.cos(rotation), math.sin(rotation)
     # The middle's arm to the first pixel, turned; and how far the turned crop reaches along the picture's axes.
-    left, top = across - scale * (frame.middle * (cos - sin)), down - scale * (frame.middle * (cos + sin))
+    arm_x, arm_y = middle * (cos - sin), middle * (cos + sin)
+    left, top = across - scale * arm_x, down - scale * arm_y
     x, y = left - frame.shift * (cos - sin), top - frame.shift * (cos + sin)
-    reach = frame.middle * (abs(cos) + abs(sin))
+    reach = middle * (abs(cos) + abs(sin))
     wide = math.ceil(2 * reach) + 1
-    corner = scale * (reach - frame.middle * (cos - sin)), scale * (reach - frame.middle * (cos + sin))
-    columns = _side(grey.shape[1], x - corner[0], scale, wide)
-    rows = _side(grey.shape[0], y - corner[1], scale, wide)
-    part = _shrunk(grey[rows.low : rows.high, columns.low : columns.high], columns, rows)
+    corner = scale * (reach - arm_x), scale * (reach - arm_y)
+    columns = _side(picture.shape[1], x - corner[0], scale, wide)
+    rows = _side(picture.shape[0], y - corner[1], scale, wide)
+    part = picture[rows.low : rows.high, columns.low : columns.high]
+    if part.ndim == 3 and not colour:
+        part = cv2.cvtColor(part, cv2.COLOR_RGB2GRAY)  # not the whole picture, which takes as long as the cutting
+    part = _shrunk(part, columns, rows)
     # Left to shrink is less than twofold: a bilinear sample a crop pixel, or four where one would miss much.
     samples = 2 if scale / max(1, int(scale)) > _ONE_SAMPLE else 1
     step = scale / samples

@@ -1,5 +1,6 @@
 """What decoders say of damaged pictures: libjpeg goes on, fills what is lost with grey, and only prints a line."""
 
+import atexit
 import os
 import re
 import tempfile
@@ -39,7 +40,8 @@ class _Listener:
         self._inside = self._waiting = 0
         self._alone = False
         self._error: int | None = None  # where the standard error leads to
-        self._file: IO[bytes] | None = None  # what is printed goes here instead
+        self._file: IO[bytes] | None = None  # what is printed goes here instead; kept, as to make one takes long
+        self._owner = 0  # the process that made it: one that was forked would share it
         self._passed = 0  # bytes of it that were looked at
         self._lines: list[str] = []  # of damage
 
@@ -77,13 +79,14 @@ class _Listener:
         return decoded, lines[0] if lines else ""
 
     def _begin(self) -> None:
-        self._lines, self._passed = [], 0
+        self._lines = []
         try:
             self._error = os.dup(2)
         except OSError:  # it is closed
             return
         try:
-            self._file = _in_memory()
+            if self._file is None or self._owner != os.getpid():
+                self._file, self._owner, self._passed = _in_memory(), os.getpid(), 0
             os.dup2(self._file.fileno(), 2)
         except OSError:  # a full disk: the decoders' lines are seen on the terminal, and nowhere else
             self._close()
@@ -109,9 +112,16 @@ class _Listener:
     def _close(self) -> None:
         if self._error is not None:
             os.close(self._error)
+            self._error = None
+        if self._passed:  # what was printed is not kept
+            self.forget()
+
+    def forget(self) -> None:
+        """Close the file that is kept for the next pictures."""
         if self._file is not None:
             self._file.close()
-        self._error = self._file = None
+            self._file, self._passed = None, 0
 
 
 damage_of = _Listener()
+atexit.register(damage_of.forget)

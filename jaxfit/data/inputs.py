@@ -25,7 +25,7 @@ def open_regular(path: str | Path, most_bytes: int | None = None) -> IO[bytes]:
     return open(path, "rb", buffering=0, opener=partial(_open_regular, most_bytes))
 
 
-def _open_regular(most_bytes: int | None, name: str, flags: int) -> int:
+def _open_regular(most_bytes: int | None, name: str | Path, flags: int) -> int:
     """The descriptor of a regular file."""
     try:
         descriptor = os.open(name, flags | getattr(os, "O_NONBLOCK", 0))
@@ -51,8 +51,14 @@ def read_regular(path: str | Path, most_bytes: int) -> bytes:
     Raises:
         OSError: as `open_regular`.
     """
-    with open_regular(path, most_bytes) as file:
-        return file.read()
+    descriptor = _open_regular(most_bytes, path, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0))
+    parts = []
+    try:  # a file object takes a fifth more time
+        while part := os.read(descriptor, os.fstat(descriptor).st_size + 1):
+            parts.append(part)
+    finally:
+        os.close(descriptor)
+    return b"".join(parts)
 
 
 def read_text(path: str | Path, most_bytes: int) -> str:

@@ -65,9 +65,10 @@ def counted_together() -> Iterator[None]:
         yield
     finally:
         _block.reset(token)
-        with _turn:
-            _all.pixels -= block.pixels
-            _turn.notify_all()
+        if block.pixels:
+            with _turn:
+                _all.pixels -= block.pixels
+                _turn.notify_all()
 
 
 def count_picture(pixels: int) -> None:
@@ -93,9 +94,9 @@ def size_problem(width: int, height: int, scans: int = 1, weight: float = 1.0, s
     Args:
         width: in pixels, as its header says.
         height: likewise.
-        scans: how often a decoder goes through it, as with progressive JPEG.
-        weight: as how many pixels one of its format counts.
-        slow_bytes: how many of the file's bytes take long.
+        scans: as in `jaxfit.data.sizes.Cost`.
+        weight: likewise.
+        slow_bytes: likewise.
     """
     millions, most = width * height / 1e6 * weight, most_megapixels()
     if millions > most:

@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from jaxfit.data.headers import END_OF_IMAGE, JPEG, PNG, START_OF_SCAN, is_avif, jpeg_markers
+from jaxfit.data.headers import EXIF, JPEG, PNG, JpegHead, is_avif, jpeg_head
 from jaxfit.data.sizes import TIFF, tiff_tags
 
 SIDEWAYS = (5, 6, 7, 8)  # the orientations that exchange width and height
-_APPLICATION_1, _EXIF = 0xE1, b"Exif\0\0"
 _ORIENTATION = 0x0112  # the tag of TIFF and EXIF
 # What makes the seen picture of the stored one, and the stored of the seen.
 _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
@@ -28,18 +27,22 @@ _TURNS: dict[int, Callable[[np.ndarray], np.ndarray]] = {
 _UNDONE_BY = {6: 8, 8: 6}  # all others undo themselves
 
 
-def orientation_of(data: bytes) -> int:
+def orientation_of(data: bytes, head: JpegHead | None = None) -> int:
     """How a picture in a file is turned to be seen, from 1 to 8: a JPEG, PNG or WebP picture as its EXIF data say, TIFF
     by a tag, AVIF by properties of its own, whatever its EXIF data say; 1 for all else.
 
     HEIC pictures are turned by whoever decodes them: nobody sees them as they are stored.
+
+    Args:
+        data: the bytes of the file.
+        head: what stands before the pixels of a JPEG file, if it is known.
     """
     try:
         if data[:4] in TIFF:
             return _of_tags(data)
         if is_avif(data):
             return _of_properties(data)
-        for exif in _exif(data):
+        for exif in _exif(data, head):
             if exif[:4] in TIFF:  # an empty one may come before
                 return _of_tags(exif)
     except (struct.error, ValueError, IndexError):  # cut off
@@ -63,14 +66,10 @@ def _of_tags(data: bytes) -> int:
     return value if value in _TURNS else 1
 
 
-def _exif(data: bytes) -> Iterator[bytes]:
+def _exif(data: bytes, head: JpegHead | None) -> Iterator[bytes]:
     """The EXIF data of a JPEG, PNG or WebP picture, if it has some."""
     if data.startswith(JPEG):
-        for marker, at in jpeg_markers(data):
-            if marker == _APPLICATION_1 and data.startswith(_EXIF, at + 2):
-                yield data[at + 2 + len(_EXIF) : at + int.from_bytes(data[at : at + 2])]
-            elif marker in (START_OF_SCAN, END_OF_IMAGE):
-                return
+        yield from (head or jpeg_head(data)).exif
     elif data.startswith(PNG) and b"eXIf" in data:
         at = len(PNG)
         while at + 8 <= len(data):
@@ -83,7 +82,7 @@ def _exif(data: bytes) -> Iterator[bytes]:
         while at + 8 <= len(data):
             kind, size = struct.unpack_from("<4sI", data, at)
             if kind == b"EXIF":
-                yield data[at + 8 : at + 8 + size].removeprefix(_EXIF)
+                yield data[at + 8 : at + 8 + size].removeprefix(EXIF)
             at += 8 + size + size % 2
 
 

@@ -21,6 +21,7 @@ from jaxfit.data.headers import (
     JPEG,
     PNG,
     is_heic,
+    jpeg_head,
     jpeg_markers,
     looks_like_picture,
     stored_size,
@@ -30,7 +31,7 @@ from jaxfit.data.limits import count_picture, most_picture_bytes, size_problem
 from jaxfit.data.names import each_once
 from jaxfit.data.orientations import SIDEWAYS, as_seen, as_stored, orientation_of
 from jaxfit.data.outputs import atomic_write
-from jaxfit.data.sizes import TIFF, decoded_size, is_deep, scans_of, slow_bytes, weight_of
+from jaxfit.data.sizes import TIFF, cost_of, is_deep
 from jaxfit.data.threads import interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -141,9 +142,10 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     """The picture in a file's data, RGB or grey; errors are those of `read_image`."""
     if complaint := _complaint(data):
         raise ImageError(f"{source}: {complaint}")
-    if Path(source).suffix.lower() in _RAW_SUFFIXES:
+    head = jpeg_head(data) if data.startswith(JPEG) else None
+    if head is None and Path(source).suffix.lower() in _RAW_SUFFIXES:
         raise ImageError(f"{source}: camera raw files are not supported; export it as JPEG")
-    size, scans, weight, slow = decoded_size(data), scans_of(data), weight_of(data), slow_bytes(data)
+    size, scans, weight, slow = cost_of(data, head)
     width, height = size or (0, 0)
     if complaint := size_problem(width, height, scans, weight, slow):
         raise ImageError(f"{source}: {complaint}")
@@ -154,7 +156,7 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
     # Without a size it may be whatever it is: nobody knows how much would come of it.
     picture = None if size is None else decode(flags | cv2.IMREAD_IGNORE_ORIENTATION)
-    if picture is not None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:
+    if picture is not None and head is None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:
         picture = None  # not held while it is read again
         deep = decode(flags | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
         picture = None if deep is None else _upper_bits(deep)
@@ -167,7 +169,7 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
     turned_by_opencv = data[:4] in TIFF  # whatever it is asked
     if exif == turned_by_opencv:
         return picture
-    return (as_seen if exif else as_stored)(picture, orientation_of(data))
+    return (as_seen if exif else as_stored)(picture, orientation_of(data, head))
 
 
 def _by_opencv(source: str | Path, data: bytes, flags: int, *, long: bool) -> np.ndarray | None:

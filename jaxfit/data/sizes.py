@@ -2,13 +2,15 @@
 
 import re
 import struct
+from typing import NamedTuple
 
 from jaxfit.data.headers import (
     ISO_PICTURES,
     JPEG,
     PNG,
-    START_OF_FRAME,
     START_OF_SCAN,
+    JpegHead,
+    jpeg_head,
     jpeg_markers,
     largest_item,
     stored_size,
@@ -24,46 +26,54 @@ _RADIANCE = re.compile(rb"#\?.*?\n\n[+-]Y (\d{1,9}) [+-]X (\d{1,9})\n", re.DOTAL
 _SUN = b"\x59\xa6\x6a\x95"
 _MOST_BOXES = 4096  # before the pixels of a JPEG 2000 file
 _CODESTREAM = b"\xff\x4f\xff\x51"  # JPEG 2000
-_SEQUENTIAL = (0xC0, 0xC1, 0xC9)  # of JPEG's frames
 _FLOATS = (b"PF", b"Pf")  # Netpbm's
 HEAVY = 2.5  # of formats whose pixels may take 36 bytes while they are decoded
 _HEAD = 8192  # bytes that headers of text may take; looking through them takes the square
 
 
+class Cost(NamedTuple):
+    """What decoding a picture takes, as its header says.
+
+    Attributes:
+        size: width and height in pixels of what a decoder makes of it, or of a larger tile of a TIFF file; None of what
+            no decoder here reads.
+        scans: how often a decoder goes through it: the scans of a JPEG file, 1 of all else.
+        weight: as how many pixels one of it counts, for the memory that its format takes: 1, or more.
+        slow_bytes: how many of its bytes are coded so densely that each takes long; 0 of most formats.
+    """
+
+    size: tuple[int, int] | None
+    scans: int = 1
+    weight: float = 1.0
+    slow_bytes: int = 0
+
+
+def cost_of(data: bytes, head: JpegHead | None = None) -> Cost:
+    """What decoding a picture takes.
+
+    Args:
+        data: the bytes of its file.
+        head: what stands before the pixels of a JPEG file, if it is known.
+    """
+    if data.startswith(JPEG):
+        head = head or jpeg_head(data)
+        # To go through all of it for other markers would take as long as a twentieth of decoding it.
+        scans = 1 if head.one_scan else sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data))
+        return Cost(head.size, max(1, scans))
+    slow = _is_iso(data) or _codestream(data) is not None
+    return Cost(decoded_size(data), 1, _weight(data), len(data) if slow else 0)
+
+
 def decoded_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels of what a decoder would make of a picture, or of a larger tile of a TIFF file; None of
-    what no decoder here reads."""
+    """The size in `Cost`."""
     try:
         return stored_size(data) or _other_size(data)
     except (struct.error, ValueError):  # the header is cut off
         return None
 
 
-def scans_of(data: bytes) -> int:
-    """How often a decoder goes through a picture: the scans of a JPEG file, 1 of all else."""
-    if not data.startswith(JPEG) or _has_one_scan(data):
-        return 1
-    return max(1, sum(marker == START_OF_SCAN for marker, _ in jpeg_markers(data)))
-
-
-def _has_one_scan(jpeg: bytes) -> bool:
-    """Whether a JPEG is neither progressive nor has a scan for each colour: what comes after its scan is not decoded.
-
-    Going through all of it for other markers would take as long as a twentieth of decoding it.
-    """
-    colours = None
-    for marker, at in jpeg_markers(jpeg):
-        if marker in START_OF_FRAME:
-            if marker not in _SEQUENTIAL:
-                return False
-            colours = jpeg[at + 7 : at + 8]
-        elif marker == START_OF_SCAN:
-            return colours is not None and jpeg[at + 2 : at + 3] == colours
-    return False
-
-
-def weight_of(data: bytes) -> float:
-    """As how many pixels one of a picture counts, for the memory that its format takes: 1, or more."""
+def _weight(data: bytes) -> float:
+    """The weight in `Cost`, of any picture but JPEG."""
     if data[:4] in TIFF:
         try:
             tags = tiff_tags(data, _BITS, _SAMPLES)
@@ -73,11 +83,6 @@ def weight_of(data: bytes) -> float:
     if (at := _codestream(data)) is not None:
         return max(1.0, int.from_bytes(data[at + 40 : at + 42]) / 3)  # of 32 bits, however many it says
     return HEAVY if _is_iso(data) or data[:2] in _FLOATS else 1.0
-
-
-def slow_bytes(data: bytes) -> int:
-    """How many bytes of a picture are coded so densely that each takes long; 0 of most formats."""
-    return len(data) if _is_iso(data) or _codestream(data) is not None else 0
 
 
 def is_deep(data: bytes) -> bool:

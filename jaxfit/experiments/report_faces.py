@@ -47,7 +47,7 @@ class Thumbnails:
         except ImageError:
             return None
         # Colours come along as a third axis.
-        return cut_face(rgb, *self._square(number), _FRAME).pixels
+        return cut_face(rgb, *self._square(number), _FRAME, colour=True).pixels
 
     def points(self, number: int, points: np.ndarray) -> np.ndarray:
         """Points (L, 2) of the picture in pixels of the thumbnail."""

@@ -109,9 +109,9 @@ def sources_of(
     identities = [str(image) if isinstance(image, str | Path) else id(image) for image in images]
     sources = []
     for _, numbers in groupby(range(count), identities.__getitem__):
-        rows = list(numbers)
-        image = images[rows[0]]
-        sources.append(Source(image, name_of(image), array[rows], tuple(kinds[row] for row in rows), turned[rows]))
+        first, *others = numbers
+        rows, image = slice(first, first + 1 + len(others)), images[first]
+        sources.append(Source(image, name_of(image), array[rows], kinds[rows], turned[rows]))
     return sources
 
 

@@ -61,21 +61,21 @@ def picture_faces(source: Source, detector: Detector | None, read: Read | None) 
     searching = detector if source.boxes is None else None
     boxes = np.empty((0, 4)) if source.boxes is None else source.boxes
     rotations = np.zeros(len(boxes)) if source.rotations is None else source.rotations
-    unused = PictureFaces(None, boxes, source.kinds, rotations)
-    if source.boxes is not None and np.isnan(boxes).all():
-        return unused._replace(why=NO_BOX)  # not read: nothing would be done with it
+    if source.boxes is not None and all(map(_is_unknown, boxes)):
+        # Not read: nothing would be done with it.
+        return PictureFaces(None, boxes, source.kinds, rotations, NO_BOX)
     if read is None:
         read = read_image if searching is not None and searching.colour else read_grey
     image = source.image
     try:
         picture = to_eight_bits(pixels(image, read))
         if searching is None:
-            return unused._replace(picture=picture, why="" if len(boxes) else NO_BOX)
+            return PictureFaces(picture, boxes, source.kinds, rotations, "" if len(boxes) else NO_BOX)
         picture = picture if searching.colour else to_grey(picture)
         found = searching(picture)
     except (ImageError, OSError) as error:
         why = str(error).removeprefix(f"{Path(image)}: ") if isinstance(image, str | Path) else str(error)
-        return unused._replace(why=why)
+        return PictureFaces(None, boxes, source.kinds, rotations, why)
     return PictureFaces(
         picture,
         np.array([face.box for face in found], np.float64).reshape(-1, 4),
@@ -111,16 +111,20 @@ def cut_picture(pipeline: Pipeline, source: Source) -> CutPicture:
         picture, boxes, kinds, rotations, why = picture_faces(source, pipeline.detector, pipeline.read)
         if picture is None:
             return CutPicture((0, 0), boxes, kinds, rotations, [why] * len(boxes), why)
-        grey = to_grey(picture)
-        faces = [_cut(pipeline.model, grey, *face) for face in zip(boxes, kinds, rotations, strict=True)]
+        faces = [_cut(pipeline.model, picture, *face) for face in zip(boxes, kinds, rotations, strict=True)]
     return CutPicture((picture.shape[1], picture.shape[0]), boxes, kinds, rotations, faces, why)
 
 
-def _cut(model: Model, grey: np.ndarray, box: np.ndarray, kind: str, degrees: float) -> Crop | str:
-    """The crop of the face in a box (4,), turned by so much, of a grey picture, uint8 (H, W); or why there is none."""
-    if np.isnan(box).all():
+def _cut(model: Model, picture: np.ndarray, box: np.ndarray, kind: str, degrees: float) -> Crop | str:
+    """The crop of the face in a box (4,), turned by so much, of a picture, uint8 (H, W, ...); or why there is none."""
+    if _is_unknown(box):
         return NO_BOX
-    if complaint := box_problem(box, grey.shape):
+    if complaint := box_problem(box, picture.shape):
         return complaint
     rotation = math.radians(degrees)
-    return cut_face(grey, *model.placement(kind).face_in(box, rotation), model.cascade.frame, rotation)
+    return cut_face(picture, *model.placement(kind).face_in(box, rotation), model.cascade.frame, rotation)
+
+
+def _is_unknown(box: np.ndarray) -> bool:
+    """Whether nobody drew a box (4,); plain numbers, as arrays of four take long."""
+    return all(map(math.isnan, box.tolist()))

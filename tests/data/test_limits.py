@@ -19,7 +19,7 @@ import pytest
 from jaxfit.data import damage, limits
 from jaxfit.data.limits import DEFAULT_MEGAPIXELS, at_most_megapixels, counted_together, most_megapixels
 from jaxfit.data.pictures import decode_image, find_images, read_grey, read_image
-from jaxfit.data.sizes import decoded_size, scans_of
+from jaxfit.data.sizes import cost_of, decoded_size
 from jaxfit.data.threads import in_order, interruptible
 from jaxfit.errors import ImageError, InputError
 
@@ -140,11 +140,11 @@ def test_sizes_that_a_decoder_may_not_take_are_not_believed() -> None:
 
 def test_scans_of_a_jpeg_are_counted() -> None:
     usual = encoded(".jpg", JPEG_PROGRESSIVE=1)
-    assert 5 < scans_of(usual) < 15
-    assert scans_of(encoded(".jpg")) == 1
+    assert 5 < cost_of(usual).scans < 15
+    assert cost_of(encoded(".jpg")).scans == 1
     colours = encoded(".jpg").replace(b"\xff\xda\0\x0c\x03", b"\xff\xda\0\x08\x01")  # each in its own scan
     at = colours.rindex(b"\xff\xda")
-    assert scans_of(colours[:at] + colours[at:-2] * 200 + colours[-2:]) == 200
+    assert cost_of(colours[:at] + colours[at:-2] * 200 + colours[-2:]).scans == 200
     decode_image(usual)
     at = usual.rindex(b"\xff\xda")  # the last scan, again and again
     bomb = usual[:at] + usual[at:-2] * 200 + usual[-2:]

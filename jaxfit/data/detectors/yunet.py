@@ -207,7 +207,9 @@ class YuNet:
     ) -> tuple[Detection, bool]:
         """A find as it is seen where the picture is turned back by so much, with the score 0 if it is not seen; and
         whether it is upright there, in the middle and of the expected size, so that its box is to be trusted."""
-        crop = cut_face(bgr, box_centre(face.box), float(face.box[2:].mean()), frame, math.radians(degrees))
+        crop = cut_face(
+            bgr, box_centre(face.box), float(face.box[2:].mean()), frame, math.radians(degrees), colour=True
+        )
         finds = self._faces(_Part(crop.pixels, np.zeros(2), np.ones(2)))
         inside = [each for each in finds if _in_the_middle(each.box, frame)]
         if not inside:
