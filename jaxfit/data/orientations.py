@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from jaxfit.data.avif import boxes_in, each_box
 from jaxfit.data.headers import EXIF, JPEG, PNG, JpegHead, is_avif, jpeg_head
 from jaxfit.data.sizes import TIFF, tiff_tags
 
@@ -88,11 +89,11 @@ def _exif(data: bytes, head: JpegHead | None) -> Iterator[bytes]:
 
 def _of_properties(data: bytes) -> int:
     """The orientation of an AVIF picture: its main item is turned by ``irot``, then mirrored by ``imir``."""
-    boxes = _boxes(_boxes(data).get(b"meta", b"")[4:])
-    properties = _boxes(boxes.get(b"iprp", b""))
+    boxes = boxes_in(boxes_in(data).get(b"meta", b"")[4:])
+    properties = boxes_in(boxes.get(b"iprp", b""))
     main = boxes.get(b"pitm", b"")
     item = int.from_bytes(main[4:6] if main[:1] == b"\0" else main[4:8])
-    kept = list(_each_box(properties.get(b"ipco", b"")))
+    kept = list(each_box(properties.get(b"ipco", b"")))
     turns = 0
     axis: int | None = None
     for number in _property_numbers(properties.get(b"ipma", b""), item):
@@ -118,26 +119,3 @@ def _property_numbers(data: bytes, wanted: int) -> Iterator[int]:
         at += several * (2 if large else 1)
         if item == wanted:
             yield from (number & (0x7FFF if large else 0x7F) for number in numbers)
-
-
-def _boxes(data: bytes) -> dict[bytes, bytes]:
-    """What is in the boxes of an ISO file, or of a box, by their kinds; of several, the first."""
-    found: dict[bytes, bytes] = {}
-    for kind, body in _each_box(data):
-        found.setdefault(kind, body)
-    return found
-
-
-def _each_box(data: bytes) -> Iterator[tuple[bytes, bytes]]:
-    at = 0
-    while at + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, at)
-        head = 8
-        if length == 1:
-            (length,) = struct.unpack_from(">Q", data, at + 8)
-            head = 16
-        length = length or len(data) - at  # the last may go on to the end
-        if length < head:
-            return
-        yield kind, data[at + head : at + length]
-        at += length

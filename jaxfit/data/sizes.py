@@ -4,6 +4,7 @@ import re
 import struct
 from typing import NamedTuple
 
+from jaxfit.data.avif import coded_sizes
 from jaxfit.data.headers import (
     ISO_PICTURES,
     JPEG,
@@ -106,7 +107,9 @@ def _other_size(data: bytes) -> tuple[int, int] | None:
         width, height = struct.unpack_from("<HH", data, 6)
         return width, height
     if _is_iso(data):
-        return largest_item(data)
+        # The boxes may say anything.
+        sizes = [*coded_sizes(data), *filter(None, [largest_item(data)])]
+        return max(sizes, key=lambda size: size[0] * size[1], default=None)
     if (at := _codestream(data)) is not None:
         right, bottom, left, top = struct.unpack_from(">IIII", data, at + 8)
         return max(0, right - left), max(0, bottom - top)

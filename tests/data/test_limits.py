@@ -286,3 +286,38 @@ def test_the_main_thread_hears_ctrl_c_while_others_decode() -> None:
         raise KeyboardInterrupt  # in whoever takes the results
     assert time.monotonic() - begun < 2
     go.set()
+
+
+@pytest.mark.parametrize("film", [False, True])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_the_size_of_avif_is_that_of_its_pixels_whatever_its_boxes_say(
+    channels: int, film: bool, tmp_path: Path
+) -> None:
+    picture: np.ndarray = np.zeros((3000, 4000) if channels == 1 else (3000, 4000, channels), np.uint8)
+    if film and channels > 1:
+        frames = cv2.Animation()
+        frames.frames, frames.durations = [picture, picture + 9], [100, 100]
+        cv2.imwriteanimation(str(tmp_path / "film.avif"), frames, [cv2.IMWRITE_AVIF_SPEED, 10])
+        data = (tmp_path / "film.avif").read_bytes()
+    else:
+        data = cv2.imencode(".avif", picture, [cv2.IMWRITE_AVIF_SPEED, 10])[1].tobytes()
+    called = data.replace(struct.pack(">II", 4000, 3000), struct.pack(">II", 64, 64))
+    assert called != data
+    assert decoded_size(called) == (4000, 3000)
+    with at_most_megapixels(20.0), pytest.raises(ImageError, match="4000 x 3000 pixels .* count as 30 mega"):
+        decode_image(called)
+    for cut in range(0, len(data), 7):
+        assert decoded_size(data[:cut]) in (None, (4000, 3000))
+
+
+def test_avif_that_would_take_long_to_look_through_has_no_size() -> None:
+    def places(version: int, count: int, extents: int, length: int) -> bytes:
+        item = struct.pack(">HHHH", 1, 0, 0, extents) + struct.pack(">II", 0, length) * min(extents, 100)
+        listed = struct.pack(">BBHBBH", version, 0, 0, 0x44, 0, count) + item * count
+        head = b"\0\0\0\x18ftypavif" + bytes(12)
+        return head + box(b"meta", bytes(4) + box(b"iloc", listed)) + box(b"mdat", b"\x12\0" * 100_000)
+
+    begun = time.process_time()
+    for wrong in (places(1, 5000, 1, 10), places(1, 4000, 1, 100_000), places(1, 1, 65_535, 0), places(1, 1, 1, 0)):
+        assert decoded_size(wrong) is None
+    assert time.process_time() - begun < 1
