@@ -207,7 +207,8 @@ def _from_heic(source: str | Path, data: bytes) -> np.ndarray:
         require_heif()
         import pillow_heif
 
-        picture = to_eight_bits(np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True)))
+        file = pillow_heif.open_heif(data, convert_hdr_to_8bit=True)
+        picture = to_eight_bits(np.array(file))  # a copy: its pixels are gone with the file
     except ImageError as error:
         raise ImageError(f"{source}: {error}") from None
     except (EOFError, OSError, RuntimeError, SyntaxError, ValueError) as error:

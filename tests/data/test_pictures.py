@@ -181,6 +181,7 @@ def test_heic_is_read_or_says_what_reads_it(tmp_path, rgb, monkeypatch):
         (tmp_path / "a.heic").write_bytes(file.getvalue())
         seen = read(tmp_path / "a.heic").astype(int)
         assert np.abs(seen - (rgb if read is read_image else to_grey(rgb)[..., None])).mean() < 4
+    assert decode_image(file.getvalue()).flags.owndata  # the reader's memory is gone with the file
     assert stored_size(file.getvalue()) == (64, 64)  # which codes 64 x 48
     for wrong in (data, file.getvalue()[:-100]):
         with pytest.raises(ImageError, match="picture: cannot be decoded"):
