@@ -6,8 +6,8 @@ import time
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from itertools import count
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from typing import Any
 
