@@ -112,10 +112,10 @@ def placed_heads(model: Model, fits: Fits, camera: Camera, shape: ArrayLike | No
     """The heads of N fits before a camera; ``shape``, as in `place_heads`, are coefficients that are known."""
     assert model.space_3d is not None
     modes = model.space_3d.modes
-    cameras = [camera.of_size(*size) for size in fits.sizes.tolist()]
-    numbers = np.array([[of.fx, of.fy, of.cx, of.cy] for of in cameras]).reshape(-1, 4)[fits.pictures]
-    points = (fits.landmarks - numbers[:, None, 2:]) / numbers[:, None, :2]
-    rows = np.flatnonzero(fits.fitted)
+    rows = np.flatnonzero(fits.fitted)  # pictures that could not be read have no size
+    cameras = [camera.of_size(*size) for size in fits.sizes[fits.pictures[rows]].tolist()]
+    numbers = np.array([[of.fx, of.fy, of.cx, of.cy] for of in cameras]).reshape(-1, 1, 4)
+    points = (fits.landmarks[rows] - numbers[..., 2:]) / numbers[..., :2]
     known = None if shape is None else np.broadcast_to(np.asarray(shape, np.float32), (len(fits), modes))[rows]
     found = PlacedHeads(
         np.full((len(fits), 3, 3), np.nan),
@@ -125,7 +125,7 @@ def placed_heads(model: Model, fits: Fits, camera: Camera, shape: ArrayLike | No
     )
     for first, last in pairwise(accumulate(batches_of(len(rows)), initial=0)):
         of_batch = slice(first, last)
-        batch = jnp.asarray(points[rows[of_batch]], jnp.float32)
+        batch = jnp.asarray(points[of_batch], jnp.float32)
         placed = _placed(model.space_3d, batch, None if known is None else jnp.asarray(known[of_batch]))
         ok = np.asarray(placed.ok)
         for whole, part in zip(found, placed, strict=True):

@@ -112,6 +112,21 @@ def test_a_field_of_view_is_a_camera_for_each_size_of_picture() -> None:
     assert CAMERA.of_size(1, 1) is CAMERA
 
 
+def test_pictures_that_could_not_be_read_have_no_camera(model: jaxfit.Model) -> None:
+    """Their size is not known, whether they were given a box or not."""
+    view = jaxfit.Placing(jaxfit.FieldOfView(60.0))
+    fits, _, _ = seen(model, CAMERA)
+    more = {"names": ("none.jpg", "a.jpg", "torn.jpg"), "sizes": np.array([[0, 0], [1280, 720], [0, 0]])}
+    lost = np.concatenate([np.full((1, 68, 2), np.nan), fits.landmarks[1:]])
+    pictures = np.array([2] + [1] * (COUNT - 1))
+    found = jaxfit.place_heads(model, replace(fits, landmarks=lost, pictures=pictures, **more), view)
+    assert found.position is not None
+    assert np.isnan(found.position[0]).all()
+    np.testing.assert_array_equal(found.position[1:], jaxfit.place_heads(model, fits[1:], view).position)
+    nothing = jaxfit.fit(model, ["none.jpg"], [(1, 2, 30, 30)])
+    assert np.isnan(jaxfit.place_heads(model, nothing, view).position).all()
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
