@@ -59,9 +59,13 @@ class _Parser(argparse.ArgumentParser):
         self._words: Sequence[str] = ()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As in `argparse`, which does not say what was given when it says what is missing."""
+        """As in `argparse`, which does not say what was given when it says what is missing, nor whose arguments are not
+        recognised."""
         self._words = list(sys.argv[1:] if args is None else args)
-        return super().parse_known_args(self._words, namespace)
+        options, others = super().parse_known_args(self._words, namespace)
+        if others and self._subparsers is None:
+            self.error(f"unrecognized arguments: {' '.join(others)}")
+        return options, others
 
     def error(self, message: str) -> NoReturn:
         """Say what is wrong, and where it may come from: an option of several values takes all words that follow. Where
