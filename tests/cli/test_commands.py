@@ -75,8 +75,8 @@ def test_numbers_of_the_command_line_are_those_of_all_programs(capsys: pytest.Ca
         ("fit --out out --format csv photos", "'photos'.*: put other words before it"),
         ("fit --out out", "required: IMAGE_OR_DIR$"),
         ("evaluate model --out out", "required: --data$"),
-        ("fit a.jpg --detctor yunet", "unrecognized arguments: --detctor yunet"),
-        ("evaluate face68 fast68 --data pts:lab", "unrecognized arguments: fast68"),
+        ("fit a.jpg --detctor yunet --out out", "unrecognized arguments: --detctor yunet"),
+        ("evaluate face68 fast68 --data pts:lab --out out", "unrecognized arguments: fast68"),
     ],
 )
 def test_words_that_an_option_took_are_said(request_: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
