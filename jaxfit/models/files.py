@@ -259,9 +259,9 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
         expected |= {"weights": (steps, features, rank), "directions": (steps, rank, params)}
     else:
         expected["weights"] = (steps, features, params)
-    units = tensors["hidden.biases"].shape[-1] if "hidden.biases" in tensors else None
-    if units is not None:
-        outputs = expected["weights"][2]
+    has_hidden = any(name.startswith("hidden.") for name in tensors)
+    if has_hidden:
+        outputs, units = expected["weights"][2], tensors["hidden.biases"].shape[-1]
         sizes = {"weights": (outputs, units), "biases": (units,), "output": (units, params)}
         expected |= {f"hidden.{part}": (steps, *shape) for part, shape in sizes.items()}
     for name, shape in expected.items():
@@ -283,7 +283,7 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
         frame=frame,
         directions=jnp.asarray(tensors["directions"], jnp.float32) if "directions" in tensors else None,
         hidden=None
-        if units is None
+        if not has_hidden
         else Hidden(*(jnp.asarray(tensors[f"hidden.{part}"], jnp.float32) for part in Hidden._fields)),
     )
 
