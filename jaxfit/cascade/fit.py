@@ -13,6 +13,7 @@ from jaxfit.cascade.confidence import Clues, Confidence, moves_of
 from jaxfit.cascade.model import Cascade, Hidden, Regressor
 from jaxfit.cascade.starts import Starts, square_around, starts_of
 from jaxfit.cascade.state import State, advanced, features_of, landmarks_of, state_of
+from jaxfit.cascade.uncertainty import Uncertainty
 from jaxfit.errors import InputError
 from jaxfit.modes import computing
 from jaxfit.shapes.asm import Coefficients
@@ -145,10 +146,12 @@ def find(
     rotations: Float[Array, "starts"],
     passes: int = 1,
     confidence: Confidence | None = None,
+    uncertainty: Uncertainty | None = None,
 ) -> dict[str, Array]:
     """All that a model finds in a batch of crops, by its name in `Heads`: the landmarks alone where nothing is 3D.
 
-    ``rotations`` are those of `Starts`, in radians. With a ``confidence`` the result has that, too, (faces,).
+    ``rotations`` are those of `Starts`, in radians. With a ``confidence`` the result has that, too, (faces,), and with
+    an ``uncertainty`` what stands in `Doubt`.
     """
     descent = _descended(cascade, crops, rotations, passes)
     best = _best(cascade, descent.last)
@@ -156,8 +159,13 @@ def find(
         found = {"landmarks": _landmarks(cascade, best)}
     else:
         found = _heads(cascade, aligned, best)._asdict()
+    if confidence is None and uncertainty is None:
+        return found
+    clues = _clues(cascade, descent)
     if confidence is not None:
-        found["confidence"] = vmap(confidence)(_clues(cascade, descent))
+        found["confidence"] = vmap(confidence)(clues)
+    if uncertainty is not None:
+        found |= vmap(uncertainty)(clues, found["landmarks"])._asdict()
     return found
 
 

@@ -163,7 +163,7 @@ def _drawn(frame: TrackedFrame) -> np.ndarray:
 
 def _columns(model: Model, placed: bool) -> list[str]:
     """The columns of a face, as `Fits.to_dicts` calls them; without a confidence, its column is empty."""
-    points = landmark_columns(model.scheme, confident=True)[3:]
+    points = landmark_columns(model.scheme, confident=True, uncertain=model.uncertainty is not None)[3:]
     return ["ok", "confidence", *(name for name in points if name not in ("ok", "confidence"))] + (
         [] if model.space_3d is None else [f"{HEAD}{name}" for name in (*ANGLES, "scale", *(PLACE if placed else ()))]
     )

@@ -86,6 +86,13 @@ class Crops:
         """Points (M, L, 2), from pixels of the pictures to those of the crops numbered ``rows`` (M,), all if None."""
         return to_crop(points, *self._lenses(rows))
 
+    def covariances_to_images(self, covariances: np.ndarray) -> np.ndarray:
+        """Covariances (N, L, 2, 2) of points of all crops, from squares of their pixels to squares of the pictures'."""
+        cos, sin = np.cos(self.rotation), np.sin(self.rotation)
+        turn = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], -2)
+        turned = np.einsum("nij,nljk,nmk->nlim", turn, covariances, turn)
+        return self.scale[:, None, None, None] ** 2 * turned
+
     def _lenses(self, rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         chosen = slice(None) if rows is None else rows
         return self.scale[chosen][:, None, None], self.offset[chosen][:, None], self.rotation[chosen][:, None]

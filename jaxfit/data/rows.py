@@ -1,5 +1,6 @@
 """Fitted faces as rows: nested plain values, as JSON lines have them, and flat ones, as tables have them."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -14,9 +15,10 @@ from jaxfit.shapes.camera import ANGLES
 
 # A face as plain JSON values: image, face, size, box, ok, landmarks; openness, by what opens, of schemes with lids and
 # lips; confidence, if the model has one; pose, scale, landmarks_3d and b of 3D models; position, in millimetres, and
-# rotation_vector before a camera that is known. Other lengths are in pixels of the picture. Rows of labels, which only
-# writers of annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel and
-# subject may be there.
+# rotation_vector before a camera that is known; covariances, [xx, xy, yy] a landmark in squares of pixels, and visible,
+# a probability a landmark, of models that know these. Other lengths are in pixels of the picture. Rows of labels, which
+# only writers of annotations take, may lack size and box; points may be [None, None]; hidden (a flag a point), pixel
+# and subject may be there.
 Row = dict[str, Any]
 
 PROBLEM = "problem"  # the key, and the column, of why a face or a picture has no fit
@@ -24,6 +26,7 @@ TEXTS = ("image", "face", "box", PROBLEM)  # columns of words; all others are of
 HEAD = "head_"  # before the columns of heads, in tables that have both
 PLACE = tuple(f"{what}_{axis}" for what in ("position", "rotation") for axis in "xyz")  # before a camera
 _BOX = ("x", "y", "width", "height", "rotation")
+_DOUBTS = ("deviation", "visible")  # before the numbers of landmarks, in the names of columns
 _OPENNESS = "_openness"  # behind what opens, in the names of columns
 PIXEL = "pixel"  # the key of the length of a pixel in units, in rows of labels
 FLAGS = ("ok",)  # columns of yes and no
@@ -40,6 +43,7 @@ class Rows:
         confident: whether the model has a confidence.
         begin: starts an iteration.
         placed: whether heads have a place before a camera.
+        uncertain: whether the model says how far landmarks may be off, and whether they can be seen.
         failures: of writers: pictures of which something could not be written, and why; writers add to it.
     """
 
@@ -48,6 +52,7 @@ class Rows:
     confident: bool
     begin: Callable[[], Iterator[Row]]
     placed: bool = False
+    uncertain: bool = False
     failures: list[tuple[str, str]] = field(default_factory=list, compare=False)
 
     def __iter__(self) -> Iterator[Row]:
@@ -59,7 +64,7 @@ class Rows:
 
     def tables(self) -> dict[str, tuple[str, ...]]:
         """The columns of each table, by the name of its file without a suffix."""
-        tables = {"landmarks": landmark_columns(self.scheme, self.confident)}
+        tables = {"landmarks": landmark_columns(self.scheme, self.confident, self.uncertain)}
         return tables if self.modes is None else tables | {"heads": head_columns(self.scheme, self.modes, self.placed)}
 
 
@@ -68,11 +73,12 @@ def rounded(values: np.ndarray | np.floating) -> Any:
     return np.round(np.asarray(values, np.float64), _DIGITS).tolist()
 
 
-def landmark_columns(scheme: Scheme, confident: bool) -> tuple[str, ...]:
-    """The columns of ``landmarks.csv``."""
+def landmark_columns(scheme: Scheme, confident: bool, uncertain: bool = False) -> tuple[str, ...]:
+    """The columns of ``landmarks.csv``; of each landmark, ``deviation`` is the root of its mean variance in x and y."""
     points = [f"{axis}{number}" for number in range(1, scheme.count + 1) for axis in "xy"]
     opened = (f"{opening.name}{_OPENNESS}" for opening in openings_of(scheme))
-    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points, *opened)
+    doubts = (f"{what}{number}" for what in _DOUBTS for number in range(1, scheme.count + 1)) if uncertain else ()
+    return (*TEXTS[:3], *_BOX, *FLAGS, *["confidence"] * confident, *points, *opened, *doubts)
 
 
 def head_columns(scheme: Scheme, modes: int, placed: bool = False) -> tuple[str, ...]:
@@ -82,10 +88,12 @@ def head_columns(scheme: Scheme, modes: int, placed: bool = False) -> tuple[str,
     return (*TEXTS[:2], *FLAGS, *ANGLES, "scale", *points, *coefficients, *(PLACE if placed else ()))
 
 
-def columns_of(scheme: Scheme, modes: int | None, confident: bool, placed: bool = False) -> tuple[str, ...]:
+def columns_of(
+    scheme: Scheme, modes: int | None, confident: bool, placed: bool = False, uncertain: bool = False
+) -> tuple[str, ...]:
     """The columns of both tables, those of heads, but the names, with ``head_`` before them."""
     heads = () if modes is None else head_columns(scheme, modes, placed)[3:]
-    return (*landmark_columns(scheme, confident), *(f"{HEAD}{name}" for name in heads))
+    return (*landmark_columns(scheme, confident, uncertain), *(f"{HEAD}{name}" for name in heads))
 
 
 def flat_row(row: Row) -> dict[str, Any]:
@@ -100,6 +108,10 @@ def flat_row(row: Row) -> dict[str, Any]:
     for number, (x, y) in enumerate(row.get("landmarks", ()), 1):
         flat[f"x{number}"], flat[f"y{number}"] = x, y
     flat |= {f"{name}{_OPENNESS}": value for name, value in row.get("openness", {}).items()}
+    if "visible" in row:
+        count = len(row["visible"])
+        names = (f"{what}{number}" for what in _DOUBTS for number in range(1, count + 1))
+        flat |= dict(zip(names, _doubts_of(row), strict=True))
     if "pose" in row:
         flat |= {f"{HEAD}{angle}": degrees for angle, degrees in row["pose"].items()}
         flat[f"{HEAD}scale"] = row["scale"]
@@ -116,6 +128,12 @@ def _place_of(row: Row) -> list[float]:
     return [*row.get("position", ()), *row.get("rotation_vector", ())]
 
 
+def _doubts_of(row: Row) -> list[float]:
+    """The values of the columns of ``_DOUBTS``; none of a row without them."""
+    deviations = [round(math.sqrt(max(xx + yy, 0.0) / 2), _DIGITS) for xx, _, yy in row.get("covariances", ())]
+    return [*deviations, *row.get("visible", ())]
+
+
 def spelled(row: Row) -> Row:
     """A row with the names of its picture and face as tables spell them, which are valid UTF-8 on one line."""
     return row | {"image": table_path(row["image"]), "face": table_word(row["face"])}
@@ -128,7 +146,8 @@ def table_values(name: str, row: Row) -> list[str | float | bool]:
         box = row["box"]
         confidence = [row["confidence"]] if "confidence" in row else []
         values = [row["image"], row["face"], box["kind"], *(box[side] for side in _BOX), row["ok"], *confidence]
-        return [*values, *chain.from_iterable(row["landmarks"]), *row.get("openness", {}).values()]
+        points = chain.from_iterable(row["landmarks"])
+        return [*values, *points, *row.get("openness", {}).values(), *_doubts_of(row)]
     points = chain.from_iterable(row["landmarks_3d"])
     return [
         row["image"],

@@ -11,6 +11,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import find
 from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.uncertainty import Uncertainty
 from jaxfit.data.threads import cores, reading_threads
 from jaxfit.fitting.pipeline import Pipeline
 from jaxfit.modes import computing
@@ -64,7 +65,7 @@ def batch_computation(pipeline: Pipeline) -> Callable[[np.ndarray], dict[str, ja
     Batches that are larger than one device's are shared out to all devices, and the model with them.
     """
     model, rotations, passes = pipeline.model, pipeline.starts.rotations, pipeline.passes
-    parts = model.cascade, model.aligned, model.confidence
+    parts = model.cascade, model.aligned, model.confidence, model.uncertainty
 
     @cache  # which takes time and memory: only where there is such a batch
     def everywhere() -> Any:
@@ -90,6 +91,7 @@ def _find(
     cascade: Cascade,
     aligned: ShapeSpace3D | None,
     confidence: Confidence | None,
+    uncertainty: Uncertainty | None,
     crops: jax.Array,
     rotations: jax.Array,
     passes: int,
@@ -101,21 +103,22 @@ def _find(
         cascade: Cascade,
         aligned: ShapeSpace3D | None,
         confidence: Confidence | None,
+        uncertainty: Uncertainty | None,
         rotations: jax.Array,
         crops: jax.Array,
     ) -> dict:
-        return find(cascade, aligned, crops, rotations, passes, confidence)
+        return find(cascade, aligned, crops, rotations, passes, confidence, uncertainty)
 
     if mesh is not None:
         everything, faces = PartitionSpec(), PartitionSpec("faces")
         of_share = jax.shard_map(
             of_share,
             mesh=mesh,
-            in_specs=(everything, everything, everything, everything, faces),
+            in_specs=(everything, everything, everything, everything, everything, faces),
             out_specs=faces,
             check_vma=False,  # loops begin with constants, which all devices share
         )
-    return of_share(cascade, aligned, confidence, rotations, crops)
+    return of_share(cascade, aligned, confidence, uncertainty, rotations, crops)
 
 
 @computing

@@ -55,6 +55,8 @@ _UNITS = {
     "scale": "crop pixels per pixel of the canonical face",
     "b": "coefficients of the 3D shape model",
     "confidence": "probability that the fit is good",
+    "covariances": "crop pixels²: of the errors of each landmark in x and y",
+    "visible": "probability that a landmark can be seen",
 }
 
 
@@ -179,14 +181,20 @@ def load_exported(path: str | Path) -> Exported:
 
 def _program(model: Model, starts: Starts, tensors: dict[str, np.ndarray], size: int) -> export.Exported:
     """The function from ``size`` crops and the model's arrays, float32 by name, to what is found, by name."""
-    whole = {"cascade": model.cascade, "head": model.aligned, "confidence": model.confidence}
+    whole = {
+        "cascade": model.cascade,
+        "head": model.aligned,
+        "confidence": model.confidence,
+        "uncertainty": model.uncertainty,
+    }
     leaves, structure = jax.tree_util.tree_flatten_with_path(whole)
     # What names of model files are made of: fields, in those of a cascade, a head or a confidence.
     names = [jax.tree_util.keystr(at, simple=True, separator=".").removeprefix("cascade.") for at, _ in leaves]
 
     def fit(crops: jax.Array, arrays: dict[str, jax.Array]) -> dict[str, jax.Array]:
         parts = jax.tree.unflatten(structure, [arrays[name] for name in names])
-        return find(parts["cascade"], parts["head"], crops, starts.rotations, confidence=parts["confidence"])
+        networks = {name: parts[name] for name in ("confidence", "uncertainty")}
+        return find(parts["cascade"], parts["head"], crops, starts.rotations, **networks)
 
     side = model.cascade.frame.crop
     # Arguments, and not constants of the programs: the file then holds them once, as float16, and not for each size.

@@ -58,7 +58,7 @@ def fit_exported(
     found = in_pictures(crops, exported(crops.pixels))
     for values in found.values():
         values[uncut] = np.nan
-    names = ("landmarks_3d", "pose", "scale", "b", "confidence")
+    names = ("landmarks_3d", "pose", "scale", "b", "confidence", "covariances", "visible")
     lost = ~np.isfinite(found["landmarks"]).all((1, 2))
     reasons = [face if isinstance(face, str) else "the fit diverged" for face in faces]
     return Fits(

@@ -268,7 +268,11 @@ def _shapes(model: Model) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {"landmarks": (model.scheme.count, 2)}
     if model.space_3d is not None:
         shapes |= {"landmarks_3d": (model.scheme.count, 3), "pose": (3,), "scale": (), "b": (model.space_3d.modes,)}
-    return shapes if model.confidence is None else shapes | {"confidence": ()}
+    if model.confidence is not None:
+        shapes["confidence"] = ()
+    if model.uncertainty is not None:
+        shapes |= {"covariances": (model.scheme.count, 2, 2), "visible": (model.scheme.count,)}
+    return shapes
 
 
 def in_pictures(crops: Crops, found: _Found) -> _Found:
@@ -280,4 +284,6 @@ def in_pictures(crops: Crops, found: _Found) -> _Found:
         depths = found["landmarks_3d"][..., 2:] * crops.scale[:, None, None]
         found |= {"landmarks_3d": np.concatenate([flat, depths], -1), "scale": found["scale"] * crops.scale}
         found["pose"] = turned_poses(found["pose"], np.degrees(crops.rotation))
+    if "covariances" in found:
+        found["covariances"] = crops.covariances_to_images(found["covariances"])
     return found

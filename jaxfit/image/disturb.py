@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax import lax, random
 from jax import numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxfit.errors import InputError
 from jaxfit.image.sampling import bilinear, pack
@@ -124,24 +124,46 @@ def disturbed(key: Array, crop: Crop, amounts: Disturbance, other: Crop | None =
     warp = draw_warp(of_warp, amounts, jnp.full(2, (len(crop) - 1) / 2, jnp.float32))
     picture = warp.picture(crop.astype(jnp.float32))
     if amounts.covered and other is not None:
-        picture = covered(random.fold_in(of_picture, 1), picture, other.astype(jnp.float32), amounts.covered)
+        cover = draw_cover(random.fold_in(of_picture, 1), len(crop), amounts.covered)
+        picture = covered(picture, other.astype(jnp.float32), cover)
     picture = spoiled(of_picture, picture, amounts)
     return jnp.clip(jnp.round(picture), 0, 255).astype(jnp.uint8), warp
 
 
-def covered(key: Array, picture: Picture, other: Picture, share: float) -> Picture:
-    """A picture, or one in which a part of another lies anywhere, in any direction: hands, hair, bars, other faces."""
-    height, width = picture.shape
+class Cover(NamedTuple):
+    """Where something covers a picture: a rectangle with round corners.
+
+    Attributes:
+        centre: (2,) in pixels.
+        half: (2,) half its sides, in pixels; 0 where nothing covers it.
+        angle: of its first side, in radians, clockwise as seen.
+    """
+
+    centre: Point
+    half: Float[Array, "2"]
+    angle: Scalar
+
+    def hides(self, points: Float[Array, "*n 2"]) -> Bool[Array, "*n"]:
+        """Which points lie below it."""
+        x, y = points[..., 0] - self.centre[0], points[..., 1] - self.centre[1]
+        cos, sin = jnp.cos(self.angle), jnp.sin(self.angle)
+        along, across = jnp.maximum(self.half, 1e-3)
+        return ((cos * x + sin * y) / along) ** 4 + ((cos * y - sin * x) / across) ** 4 < 1
+
+
+def draw_cover(key: Array, side: int, share: float) -> Cover:
+    """A cover anywhere in a picture (side, side), in any direction; a share of them covers something."""
     centre, sides, (angle, whether) = (random.uniform(part, (2,), jnp.float32) for part in random.split(key, 3))
     low, high = _COVER_SIDES
-    half = height * (low + (high - low) * sides) / 2
-    x, y = jnp.meshgrid(
-        jnp.arange(width, dtype=picture.dtype) - width * centre[0],
-        jnp.arange(height, dtype=picture.dtype) - height * centre[1],
-    )
-    cos, sin = jnp.cos(jnp.pi * angle), jnp.sin(jnp.pi * angle)
-    inside = ((cos * x + sin * y) / half[0]) ** 4 + ((cos * y - sin * x) / half[1]) ** 4 < 1
-    return jnp.where(inside & (whether < share), other, picture)
+    half = side * (low + (high - low) * sides) / 2
+    return Cover(side * centre, jnp.where(whether < share, half, 0.0), jnp.pi * angle)
+
+
+def covered(picture: Picture, other: Picture, cover: Cover) -> Picture:
+    """A picture (H, W) with a part of another over it: a hand, hair, a bar, another face."""
+    height, width = picture.shape
+    pixels = jnp.stack(jnp.meshgrid(jnp.arange(width, dtype=jnp.float32), jnp.arange(height, dtype=jnp.float32)), -1)
+    return jnp.where(cover.hides(pixels), other, picture)
 
 
 def spoiled(key: Array, picture: Picture, amounts: Disturbance) -> Picture:

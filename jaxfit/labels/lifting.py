@@ -88,7 +88,9 @@ def share_labels(
 
     Labels that conversion (`jaxfit.convert_dataset`) takes from a single point, and that are near it on the mean head,
     are that point's, moved by as much as both differ on the head model. Only they are ``present``; all others are where
-    `lift_labels` has them. The same faces are left out.
+    `lift_labels` has them. The same faces are left out. What a face's labels lack though their scheme has it is not
+    ``visible``; whether points can be seen that the schemes do not share is unknown: they are neither ``present`` nor
+    hidden.
 
     Args:
         faces: labelled faces.
@@ -106,13 +108,18 @@ def share_labels(
     single = [(own, of[0]) for own, of in enumerate(sources(target, source)) if len(of) == 1]
     pairs = [(own, of) for own, of in single if np.linalg.norm(of_source[own] - of_target[of]) < _SAME]
     own, other = map(np.array, zip(*pairs, strict=True))
+    made_of = sources(target, source)
     shared = []
     for n in found.kept:
         landmarks, present = found.target[n].copy(), np.zeros(target.count, bool)
         present[other] = faces[n].known[own]
         moved = landmarks[other] + faces[n].landmarks[own] - found.source[n][own]
         landmarks[other] = np.where(present[other, None], moved, landmarks[other])
-        shared.append(replace(faces[n], landmarks=landmarks, present=present, visible=present.copy()))
+        visible = np.ones(target.count, bool)
+        for points, seen in zip(made_of, faces[n].known & faces[n].visible, strict=True):
+            if not seen:
+                visible[list(points)] = False
+        shared.append(replace(faces[n], landmarks=landmarks, present=present, visible=visible))
     return Lifted(tuple(shared), found.problems)
 
 

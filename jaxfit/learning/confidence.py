@@ -33,6 +33,7 @@ from jaxfit.learning.finetune import retuned
 from jaxfit.learning.methods import METHODS, Options
 from jaxfit.learning.prepare import part_of
 from jaxfit.learning.train import train
+from jaxfit.learning.uncertainty import Axes, Sighted, learned_uncertainty, sight
 from jaxfit.models.digests import union
 from jaxfit.models.model import Model
 from jaxfit.modes import computing, mixing_types
@@ -89,7 +90,8 @@ def learn_confidence(
     read: Read | None = None,
     progress: Progress = silent,
 ) -> Model:
-    """The model with a confidence: the probability that a fit is good, its NMED (`default_normaliser`) below 0.08.
+    """The model with a confidence: the probability that a fit is good, its NMED (`default_normaliser`) below 0.08; and
+    with an uncertainty: how far each landmark may be off, and whether it can be seen.
 
     Trains ``folds`` models as ``model`` says that it was trained, and fine-tuned, each without the people of its fold,
     whom it then fits: that takes about as many times longer than training did.
@@ -97,7 +99,7 @@ def learn_confidence(
     Args:
         model: what to teach; its confidence, if it has one, is replaced.
         faces: labelled faces, best those that the model was trained on; those with missing landmarks take part in
-            fine-tuning alone.
+            fine-tuning and in the uncertainty alone.
         subjects: who is seen on each of the faces, if not as they say themselves.
         folds: how many models are trained.
         seed: of folds, starts and the network.
@@ -118,6 +120,8 @@ def learn_confidence(
     parts = split_by_subject(people, folds, seed)
     projection: Projection | None = None
     samples: list[_Samples] = []
+    axes: Axes | None = None
+    sighted: list[Sighted] = []
     pictures = model.learned
     for fold in range(folds):
         report = part_of(progress, f"fold {fold + 1}/{folds}")
@@ -135,10 +139,15 @@ def learn_confidence(
         projection = projection or _axes(trained, drawn, seed)
         sampled, clues = _fitted(trained, drawn, _Project(projection), report)
         samples.append(_Samples(clues, sampled.good, sampled.starts))
+        of_fold, axes = sight(trained, tested, axes, seed, read, report)
+        sighted.append(of_fold)
     progress("learning how likely fits are good", 0, 1)
     confidence = _learned(samples, projection, seed) if projection else None
     progress("learning how likely fits are good", 1, 1)
-    return replace(model, confidence=confidence, learned=pictures)
+    progress("learning how far landmarks may be off", 0, 1)
+    uncertainty = learned_uncertainty(sighted, axes, seed) if axes else None
+    progress("learning how far landmarks may be off", 1, 1)
+    return replace(model, confidence=confidence, uncertainty=uncertainty, learned=pictures)
 
 
 @computing

@@ -17,6 +17,7 @@ from safetensors.numpy import save as pack_tensors
 from jaxfit.cascade.confidence import Confidence, count_moves
 from jaxfit.cascade.model import Cascade, Hidden
 from jaxfit.cascade.starts import Starts
+from jaxfit.cascade.uncertainty import Uncertainty
 from jaxfit.data.inputs import read_regular
 from jaxfit.data.outputs import atomic_write
 from jaxfit.descriptors import DESCRIPTORS
@@ -138,7 +139,8 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
         **({} if cascade.hidden is None else _hidden_tensors(cascade.hidden)),
         **_arrays("space", cascade.space),
         **({} if model.aligned is None else _arrays("head", model.aligned)),
-        **_confidence_tensors(model.confidence),
+        **_network_tensors("confidence", model.confidence, ("seen",)),
+        **_network_tensors("uncertainty", model.uncertainty, ("seen", "own")),
     }
     if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
         raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
@@ -239,6 +241,7 @@ def _parse(data: bytes) -> Model:
         placements=placements,
         aligned=_aligned(header, tensors, scheme.count),
         confidence=_confidence(tensors),
+        uncertainty=_uncertainty(tensors, scheme.count),
         training=header["training"],
         learned=learned,
     )
@@ -300,10 +303,11 @@ def _hidden_tensors(hidden: Hidden) -> dict[str, np.ndarray]:
     return {f"hidden.{part}": np.asarray(value, np.float32) for part, value in hidden._asdict().items()}
 
 
-def _confidence_tensors(confidence: Confidence | None) -> dict[str, np.ndarray]:
-    if confidence is None:
+def _network_tensors(name: str, network: Any, large: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """The arrays of a network, its ``large`` ones as float16."""
+    if network is None:
         return {}
-    return _arrays("confidence", confidence) | {"confidence.seen": _half(np.asarray(confidence.seen))}
+    return _arrays(name, network) | {f"{name}.{part}": _half(np.asarray(getattr(network, part))) for part in large}
 
 
 def _confidence(tensors: dict[str, np.ndarray]) -> Confidence | None:
@@ -312,6 +316,16 @@ def _confidence(tensors: dict[str, np.ndarray]) -> Confidence | None:
         return None
     steps, features = tensors["weights"].shape[:2]
     return _assembled("confidence", Confidence, tensors, {"features": features, "moves": count_moves(steps)})
+
+
+def _uncertainty(tensors: dict[str, np.ndarray], count: int) -> Uncertainty | None:
+    """How far the ``count`` landmarks of fits of the cascade whose tensors these are, which have been checked, may be
+    off."""
+    if not any(name.startswith("uncertainty.") for name in tensors):
+        return None
+    steps, features = tensors["weights"].shape[:2]
+    sizes = {"features": features, "moves": count_moves(steps), "landmarks": count, "descriptor": features // count}
+    return _assembled("uncertainty", Uncertainty, tensors, sizes)
 
 
 def _arrays(name: str, part: Any) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from jaxfit.cascade.confidence import Confidence
 from jaxfit.cascade.fit import space_3d_of
 from jaxfit.cascade.model import Cascade
 from jaxfit.cascade.starts import Starts
+from jaxfit.cascade.uncertainty import Uncertainty
 from jaxfit.errors import InputError
 from jaxfit.models.digests import Digests
 from jaxfit.models.placements import Placement, placements_of
@@ -34,6 +35,7 @@ class Model:
         aligned: for 3D alignment, the 3D shape space that is aligned to the landmarks which the cascade finds; None for
             other methods.
         confidence: how likely its fits are good; None: it was not learned.
+        uncertainty: how far each landmark may be off, and whether it can be seen; None: it was not learned.
         learned: (N,) uint64, sorted: digests of the pictures that it learned from, of their grey pixels, so that they
             are known under other names, too; None: it does not say, as models of earlier versions.
     """
@@ -44,6 +46,7 @@ class Model:
     training: dict[str, Any] = field(default_factory=dict)
     aligned: ShapeSpace3D | None = None
     confidence: Confidence | None = None
+    uncertainty: Uncertainty | None = None
     learned: Digests | None = None
 
     def __post_init__(self) -> None:

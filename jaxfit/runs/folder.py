@@ -219,7 +219,14 @@ def _fit_held(
     unfinished.begin(settings, chunks, [*overlays, *_RESULTS])
     resumed = _fit_missing(run, pipeline, boxes, unused, chunks, labels, unfinished, progress)
     modes = None if model.space_3d is None else model.space_3d.modes
-    fitted = Rows(model.scheme, modes, model.confidence is not None, unfinished.faces, run.placing is not None)
+    fitted = Rows(
+        model.scheme,
+        modes,
+        model.confidence is not None,
+        unfinished.faces,
+        run.placing is not None,
+        model.uncertainty is not None,
+    )
     rows = fitted if run.min_confidence is None else fitted.only(lambda row: row["confidence"] >= run.min_confidence)
     progress("writing results", 0, 1)
     written = list(chain.from_iterable(WRITERS[name](out, rows) for name in dict.fromkeys(run.formats)))

@@ -9,7 +9,7 @@ from jax import random
 
 from jaxfit.errors import InputError
 from jaxfit.image import disturb
-from jaxfit.image.disturb import Disturbance, Warp, covered, draw_warp, spoiled
+from jaxfit.image.disturb import Disturbance, Warp, covered, draw_cover, draw_warp, spoiled
 
 NOTHING = Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the others are nothing unless given
 SIDE = 40
@@ -92,7 +92,7 @@ def test_a_share_is_partly_hidden() -> None:
 
 def test_a_share_is_covered_by_parts_of_another_picture() -> None:
     picture, other = jnp.zeros((SIDE, SIDE)), 100.0 + jnp.arange(SIDE * SIDE, dtype=jnp.float32).reshape(SIDE, SIDE)
-    found = np.asarray(jax.vmap(lambda key: covered(key, picture, other, 0.5))(KEYS))
+    found = np.asarray(jax.vmap(lambda key: covered(picture, other, draw_cover(key, SIDE, 0.5)))(KEYS))
     changed = found != 0
     np.testing.assert_array_equal(found[changed], np.broadcast_to(other, found.shape)[changed])
     assert 0.4 < changed.any((1, 2)).mean() < 0.55

@@ -57,7 +57,7 @@ def _images(rows: Rows) -> Iterator[dict[str, Any]]:
 def _annotations(rows: Rows) -> Iterator[dict[str, Any]]:
     for face_number, (number, _, row) in enumerate(_numbered(rows), 1):
         known = [(x, y) for x, y in row["landmarks"] if x is not None]
-        hidden = row.get("hidden") or [False] * len(row["landmarks"])
+        hidden = _hidden(row)
         left, top, width, height = _box(row, known)
         yield {
             "id": face_number,
@@ -76,6 +76,13 @@ def _annotations(rows: Rows) -> Iterator[dict[str, Any]]:
             "score": row.get("confidence", 1.0),
             **_of_labels(row),
         }
+
+
+def _hidden(row: Row) -> list[bool]:
+    """Which points are hidden: as labelled, or rather than not, as a model says; none where nothing is known."""
+    if "visible" in row:
+        return [probability < 0.5 for probability in row["visible"]]
+    return row.get("hidden") or [False] * len(row["landmarks"])
 
 
 def _box(row: Row, known: list[tuple[float, float]]) -> tuple[float, float, float, float]:
