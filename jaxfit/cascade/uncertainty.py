@@ -1,5 +1,6 @@
 """How far each landmark of a fit may be off, and whether it can be seen: from what the cascade sees and does."""
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +14,9 @@ from jaxfit.types import Landmarks, Scalar
 
 _EXACT = lax.Precision.HIGHEST
 OUTPUTS = 4  # of each landmark: what `Uncertainty.raw` says
+# Degrees of freedom of the errors' distribution, Student's t in two dimensions: errors of landmarks have heavier tails
+# than a Gaussian's.
+FREEDOM = 4.0
 _SMALLEST, _LARGEST = -7.0, 1.0  # logarithms of deviations in sizes of the face: covariances stay finite and positive
 
 
@@ -20,7 +24,7 @@ class Doubt(NamedTuple):
     """What is known of the landmarks of a face, or of several with leading axes, beside where they are.
 
     Attributes:
-        covariances: (L, 2, 2) of the errors in x and y, in pixels².
+        covariances: (L, 2, 2) of the errors in x and y, in pixels²; `region_radius` says how far regions reach.
         visible: (L,) the probability that a landmark can be seen: that neither the face itself nor anything else hides
             it.
     """
@@ -32,38 +36,47 @@ class Doubt(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Uncertainty:
-    """A network of one hidden layer on the clues of a face, and a linear map of each landmark's own descriptor, in
-    which PCA, whitening and calibration are folded.
+    """A network of one hidden layer on the clues of a face and its shape, and for each landmark a map of what its own
+    descriptor has along some axes, and of the squares of that: they tell what no such landmark looks like. PCA,
+    whitening and calibration are folded into the weights.
 
     Attributes:
         seen: (F, H) weights of all descriptors.
         moved: (C, H) weights of the moves.
+        shape: (L, 2, H) weights of the landmarks, in sizes of the face from their centroid.
         biases: (H,) of the hidden units.
-        own: (L, D, 4) weights of each landmark's own descriptor.
+        axes: (D, K) of a landmark's own descriptor.
+        centre: (K,) of what is along them, on average.
+        own: (L, 2, K, 4) weights of what each landmark has along them, and of its squares.
         output: (H, L, 4) weights of the hidden units.
         offset: (L, 4) of the outputs.
     """
 
     seen: Float[Array, "features hidden"]
     moved: Float[Array, "moves hidden"]
+    shape: Float[Array, "landmarks 2 hidden"]
     biases: Float[Array, "hidden"]
-    own: Float[Array, "landmarks descriptor 4"]
+    axes: Float[Array, "descriptor axes"]
+    centre: Float[Array, "axes"]
+    own: Float[Array, "landmarks 2 axes 4"]
     output: Float[Array, "hidden landmarks 4"]
     offset: Float[Array, "landmarks 4"]
 
     def __call__(self, clues: Clues, landmarks: Landmarks) -> Doubt:
         """What the clues say of the landmarks (L, 2) of a fit, in pixels."""
-        raw = self.raw(clues)
-        return Doubt(covariances_of(raw) * size_of(landmarks) ** 2, jax.nn.sigmoid(raw[:, 3]))
+        raw = self.raw(clues, landmarks)
+        variance = FREEDOM / (FREEDOM - 2) * size_of(landmarks) ** 2
+        return Doubt(scatters_of(raw) * variance, jax.nn.sigmoid(raw[:, 3]))
 
-    def raw(self, clues: Clues) -> Float[Array, "landmarks 4"]:
+    def raw(self, clues: Clues, landmarks: Landmarks) -> Float[Array, "landmarks 4"]:
         """Of each landmark, the logarithms of the Cholesky factor's two diagonal entries and its third one, in sizes of
         the face, and the logarithm of the odds that it is visible."""
         described = jnp.matmul(clues.features, self.seen, precision=_EXACT)
         moved = jnp.matmul(clues.moves, self.moved, precision=_EXACT)
-        units = jnp.tanh(described + moved + self.biases)
-        each = clues.features.reshape(len(self.own), -1)
-        own = jnp.einsum("ld,ldo->lo", each, self.own, precision=_EXACT)
+        shaped = jnp.einsum("lc,lch->h", shape_of(landmarks), self.shape, precision=_EXACT)
+        units = jnp.tanh(described + moved + shaped + self.biases)
+        each = jnp.matmul(clues.features.reshape(len(self.own), -1), self.axes, precision=_EXACT) - self.centre
+        own = jnp.einsum("lpk,lpko->lo", jnp.stack([each, each**2], 1), self.own, precision=_EXACT)
         return own + jnp.einsum("h,hlo->lo", units, self.output, precision=_EXACT) + self.offset
 
 
@@ -76,10 +89,21 @@ def factors_of(raw: Float[Array, "*n 4"]) -> Float[Array, "*n 2 2"]:
     return jnp.stack([jnp.stack([first, zero], -1), jnp.stack([slope, second], -1)], -2)
 
 
-def covariances_of(raw: Float[Array, "*n 4"]) -> Float[Array, "*n 2 2"]:
-    """The covariances from what `Uncertainty.raw` says, in squares of the face's size."""
+def scatters_of(raw: Float[Array, "*n 4"]) -> Float[Array, "*n 2 2"]:
+    """The scatter matrices of the t distributions from what `Uncertainty.raw` says, in squares of the face's size."""
     factors = factors_of(raw)
     return jnp.einsum("...ij,...kj->...ik", factors, factors, precision=_EXACT)
+
+
+def region_radius(share: float) -> float:
+    """How far the region that holds this share of true landmarks reaches, in standard deviations of the covariances:
+    of Student's t with ``FREEDOM`` degrees of freedom in two dimensions."""
+    return math.sqrt((FREEDOM - 2) * ((1 - share) ** (-2 / FREEDOM) - 1))
+
+
+def shape_of(landmarks: Landmarks) -> Landmarks:
+    """The landmarks (L, 2) from their centroid, in sizes of the face."""
+    return (landmarks - landmarks.mean(0)) / size_of(landmarks)
 
 
 def size_of(landmarks: Landmarks) -> Scalar:

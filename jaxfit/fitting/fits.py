@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxfit.cascade.uncertainty import region_radius
 from jaxfit.data.rows import PROBLEM, Row, Rows, columns_of, flat_row, rounded
 from jaxfit.errors import InputError
 from jaxfit.schemes.openness import openings_of, openness
@@ -78,9 +79,9 @@ class Fits:
             OpenCV's ``rvec``: 0 for a head that looks along the axis into the camera. None likewise.
         confidence: (N,) the probability, in [0, 1], that the fit is a good one, as ``jaxfit.learning.learn_confidence``
             defines it; NaN for faces that could not be fitted, None for models without a confidence.
-        covariances: (N, L, 2, 2) of the landmarks' errors in x and y, in squares of the picture's pixels: a landmark's
-            true place lies within ``2.45`` standard deviations in 95 of 100 faces (`inside`). NaN for faces that could
-            not be fitted, None, like the next, for models without an uncertainty.
+        covariances: (N, L, 2, 2) of the landmarks' errors in x and y, in squares of the picture's pixels; `inside` says
+            which true landmarks lie in the regions that they make. NaN for faces that could not be fitted, None, like
+            the next, for models without an uncertainty.
         visible: (N, L) the probability, in [0, 1], that a landmark can be seen: that neither the face itself nor
             anything else hides it.
     """
@@ -126,7 +127,7 @@ class Fits:
                 f"expected fits with covariances and 0 < share < 1; got a share of {share} and fits "
                 f"{'without' if self.covariances is None else 'with'} covariances"
             )
-        return mahalanobis(landmarks - self.landmarks, self.covariances) ** 2 <= -2 * np.log(1 - share)
+        return mahalanobis(landmarks - self.landmarks, self.covariances) <= region_radius(share)
 
     @property
     def openness(self) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from jaxfit.cascade.confidence import Clues
 from jaxfit.cascade.fit import find_clues
 from jaxfit.cascade.regression import Projection, principal_axes
-from jaxfit.cascade.uncertainty import OUTPUTS, Uncertainty, factors_of, size_of
+from jaxfit.cascade.uncertainty import FREEDOM, OUTPUTS, Uncertainty, factors_of, region_radius, shape_of, size_of
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.crops import Crops, cut
 from jaxfit.data.pictures import Read, to_grey
@@ -38,7 +38,6 @@ _SAMPLES = 2048  # that principal axes are learned from
 _AXES, _OWN_AXES = 128, 24  # of all descriptors of a face, and of a landmark's own
 _VARIANCE = 0.98
 _HIDDEN = 48
-_FREEDOM = 6.0  # degrees of freedom of the errors: their tails are heavier than a Gaussian's
 _EPOCHS, _AT_ONCE, _RATE, _DECAY = 24, 256, 2e-3, 0.1  # of the network's training
 _LEVELS = (0.5, 0.9, 0.95)  # shares of the true landmarks that regions shall hold
 
@@ -47,7 +46,7 @@ class Sighted(NamedTuple):
     """N fits of faces, landmark by landmark.
 
     Attributes:
-        clues: (N, K) what was seen and how the fits moved, reduced.
+        clues: (N, K) what was seen and how the fits moved, reduced, and the shapes.
         own: (N, L, k) what each landmark has seen itself, reduced.
         errors: (N, L, 2) from the true landmarks to the fitted ones, in sizes of the face; NaN where unknown.
         seen: (N, L) 1 for landmarks that can be seen, 0 for hidden ones, NaN where unknown.
@@ -170,7 +169,8 @@ def _cover(keys: Array, crops: Array, others: Array, points: Array) -> tuple[Arr
 def _fitted(cascade: Any, crops: Array, rotations: Array, axes: Axes) -> tuple[Array, Array, Array, Array]:
     """The landmarks of crops in their pixels, the reduced clues and own descriptors of them, and the faces' sizes."""
     landmarks, clues = find_clues(cascade, crops, rotations)
-    whole = jnp.concatenate([_reduced(clues.features, axes.whole), clues.moves], 1)
+    shapes = vmap(shape_of)(landmarks).reshape(len(landmarks), -1)
+    whole = jnp.concatenate([_reduced(clues.features, axes.whole), clues.moves, shapes], 1)
     own = _reduced(clues.features.reshape(*landmarks.shape[:2], -1), axes.own)
     return landmarks, whole, own, vmap(size_of)(landmarks)
 
@@ -198,13 +198,14 @@ class _Network(NamedTuple):
 
     weights: Float[Array, "inputs hidden"]
     biases: Float[Array, "hidden"]
-    own: Float[Array, "landmarks own 4"]
+    own: Float[Array, "landmarks 2 own 4"]
     output: Float[Array, "hidden landmarks 4"]
     offset: Float[Array, "landmarks 4"]
 
     def __call__(self, clues: Array, own: Array) -> Float[Array, "samples landmarks 4"]:
         units = jnp.tanh(clues @ self.weights + self.biases)
-        return jnp.einsum("nlk,lko->nlo", own, self.own) + jnp.einsum("nh,hlo->nlo", units, self.output) + self.offset
+        each = jnp.einsum("nlpk,lpko->nlo", jnp.stack([own, own**2], 2), self.own)
+        return each + jnp.einsum("nh,hlo->nlo", units, self.output) + self.offset
 
 
 def learned_uncertainty(folds: Sequence[Sighted], axes: Axes, seed: int) -> Uncertainty:
@@ -236,27 +237,31 @@ def learned_uncertainty(folds: Sequence[Sighted], axes: Axes, seed: int) -> Unce
     kept = axes.whole.axes.shape[1]
     whole = (np.asarray(axes.whole.axes, np.float64) @ weights[:kept]).astype(np.float16).astype(np.float64)
     centred = np.asarray(axes.whole.mean) @ whole + mean[:kept] @ weights[:kept] + mean[kept:] @ weights[kept:]
-    of_own = np.asarray(network.own, np.float64) * slopes / own_deviation[:, None]
-    each = np.einsum("dk,lko->ldo", np.asarray(axes.own.axes, np.float64), of_own).astype(np.float16).astype(np.float64)
-    offset -= np.einsum("d,ldo->lo", np.asarray(axes.own.mean), each) + np.einsum("k,lko->lo", own_mean, of_own)
+    moves = clues.shape[1] - kept - 2 * seen.shape[1]
+    of_moves, of_shape = np.split(weights[kept:], [moves])
+    each = (np.asarray(axes.own.axes, np.float64) / own_deviation).astype(np.float16).astype(np.float64)
+    centre = np.asarray(axes.own.mean) @ each + own_mean / own_deviation
     return Uncertainty(
         seen=jnp.asarray(whole, jnp.float32),
-        moved=jnp.asarray(weights[kept:], jnp.float32),
+        moved=jnp.asarray(of_moves, jnp.float32),
+        shape=jnp.asarray(of_shape.reshape(seen.shape[1], 2, -1), jnp.float32),
         biases=jnp.asarray(np.asarray(network.biases) - centred, jnp.float32),
-        own=jnp.asarray(each, jnp.float32),
+        axes=jnp.asarray(each, jnp.float32),
+        centre=jnp.asarray(centre, jnp.float32),
+        own=jnp.asarray(np.asarray(network.own) * slopes, jnp.float32),
         output=jnp.asarray(np.asarray(network.output) * slopes, jnp.float32),
         offset=jnp.asarray(offset, jnp.float32),
     )
 
 
 def standardised(raw: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(...) lengths of errors (..., 2) in standard deviations of what `Uncertainty.raw` says (..., 4)."""
+    """(...) lengths of errors (..., 2) in standard deviations of the covariances that `Uncertainty.raw` (..., 4) means."""
     return np.asarray(_lengths(jnp.asarray(raw), jnp.asarray(errors, jnp.float32)))
 
 
 @jax.jit
 def _lengths(raw: Array, errors: Array) -> Array:
-    return jnp.sqrt(jnp.sum(_whitened(raw, errors) ** 2, -1))
+    return jnp.sqrt((FREEDOM - 2) / FREEDOM * jnp.sum(_whitened(raw, errors) ** 2, -1))
 
 
 def _whitened(raw: Array, errors: Array) -> Array:
@@ -270,7 +275,7 @@ def _region_scale(raw: np.ndarray, errors: np.ndarray) -> float:
     """The factor on deviations with which regions hold the shares ``_LEVELS`` best."""
     lengths = standardised(raw, errors)
     lengths = lengths[np.isfinite(lengths)]
-    radii = np.sqrt(-2 * np.log1p(-np.array(_LEVELS)))
+    radii = [region_radius(level) for level in _LEVELS]
 
     def worst(log_scale: float) -> float:
         held = [(lengths <= radius * np.exp(log_scale)).mean() for radius in radii]
@@ -314,7 +319,7 @@ def _optimised(inputs: tuple[Array, Array], truth: tuple[Array, Array], seed: in
     network = _Network(
         random.normal(first, (width, _HIDDEN), jnp.float32) / np.sqrt(width).astype(np.float32),
         jnp.zeros(_HIDDEN, jnp.float32),
-        jnp.zeros((landmarks, own.shape[2], OUTPUTS), jnp.float32),
+        jnp.zeros((landmarks, 2, own.shape[2], OUTPUTS), jnp.float32),
         jnp.zeros((_HIDDEN, landmarks, OUTPUTS), jnp.float32),
         jnp.broadcast_to(jnp.array([-3.0, -3.0, 0.0, 2.0], jnp.float32), (landmarks, OUTPUTS)),
     )
@@ -324,7 +329,7 @@ def _optimised(inputs: tuple[Array, Array], truth: tuple[Array, Array], seed: in
         raw = network(clues[rows], own[rows])
         known = jnp.isfinite(errors[rows]).all(-1)
         whitened = _whitened(raw, jnp.where(known[..., None], errors[rows], 0.0))
-        tails = (_FREEDOM + 2) / 2 * jnp.log1p(jnp.sum(whitened**2, -1) / _FREEDOM)
+        tails = (FREEDOM + 2) / 2 * jnp.log1p(jnp.sum(whitened**2, -1) / FREEDOM)
         factors = factors_of(raw)
         sizes = jnp.log(factors[..., 0, 0]) + jnp.log(factors[..., 1, 1])
         told = jnp.isfinite(seen[rows])

@@ -140,7 +140,7 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
         **_arrays("space", cascade.space),
         **({} if model.aligned is None else _arrays("head", model.aligned)),
         **_network_tensors("confidence", model.confidence, ("seen",)),
-        **_network_tensors("uncertainty", model.uncertainty, ("seen", "own")),
+        **_network_tensors("uncertainty", model.uncertainty, ("seen", "axes")),
     }
     if unfit := [name for name, tensor in tensors.items() if not np.isfinite(tensor).all()]:
         raise InputError(f"{', '.join(unfit)}: not finite, or too large for float16; train with a stronger ridge")
