@@ -53,7 +53,7 @@ class Tuning:
         guessed: what a landmark counts that a 3D head model guessed, relative to one that is labelled; with 0 those are
             unknown.
         balance: how evenly faces are drawn over their yaws: with 0 each as often as every other, with 1 each band of 15
-            degrees as often as every other.
+            degrees as often as every other; above 0, faces with all landmarks are drawn as often as all that lack some.
         disturbance: of the pictures.
         seed: of all that is random; the same seed, machine and number of cores give the same bits.
 

@@ -109,7 +109,9 @@ def finetune(
     present = {id(face): known for face, known in placed}
     guessed = ~np.stack([present[id(face)] for face in usable])
     labelled = np.where(guessed[..., None], np.nan, landmarks)
-    shares = None if head is None else _even_over_yaws(landmarks[rows], head, tuning.balance)
+    shares = None
+    if head is not None:
+        shares = _balanced(_yaws([usable[row] for row in rows], head), ~guessed[rows].any(1), tuning.balance)
     aside = _kept_aside([usable[row].subject for row in rows], validation, tuning.seed)
 
     def some(points: np.ndarray, rows: np.ndarray) -> TrainingSet:
@@ -217,11 +219,25 @@ def _placed(
     return placed, list(filled.problems)
 
 
-def _even_over_yaws(landmarks: np.ndarray, head: ActiveShapeModel, balance: float) -> np.ndarray:
-    """(N,) how often faces (N, L, 2) are drawn, so that bands of yaw come more evenly."""
-    bands = np.abs(align_labels(head, landmarks).pose[:, 2]) // _BAND
-    _, band, counts = np.unique(np.nan_to_num(bands), return_inverse=True, return_counts=True)
-    return counts[band] ** -balance
+def _yaws(faces: Sequence[FaceRecord], head: ActiveShapeModel) -> np.ndarray:
+    """(N,) degrees: as labelled, else as the head model has them; 0 where neither says."""
+    yaws = np.array([np.nan if face.pose is None else face.pose[2] for face in faces], np.float64)
+    unknown = np.flatnonzero(np.isnan(yaws))
+    found = align_labels(head, np.stack([face.landmarks for face in faces])[unknown])
+    yaws[unknown] = np.where(found.ok, found.pose[:, 2], 0.0)
+    return yaws
+
+
+def _balanced(yaws: np.ndarray, complete: np.ndarray, balance: float) -> np.ndarray:
+    """(N,) how often faces of these yaws are drawn: those with all labels as often as all others, and of both the bands
+    of yaw more evenly."""
+    bands = np.abs(yaws) // _BAND
+    shares = np.zeros(len(yaws))
+    for group in (complete, ~complete):
+        _, band, counts = np.unique(bands[group], return_inverse=True, return_counts=True)
+        of_group = counts[band] ** -balance
+        shares[group] = of_group / of_group.sum()
+    return shares
 
 
 def _kept_aside(subjects: Sequence[str], share: float, seed: int) -> np.ndarray:
