@@ -38,6 +38,7 @@ from jaxfit.evaluation.evaluate import Evaluation
 from jaxfit.evaluation.pose import POSE_COLUMNS, pose_rows
 from jaxfit.evaluation.statistics import summarise
 from jaxfit.evaluation.tables import SUMMARY_COLUMNS, summary_row, text_table
+from jaxfit.evaluation.uncertainty import SHARES, uncertainty_report
 from jaxfit.heads.with_heads import ensure_heads
 from jaxfit.models.files import load
 from jaxfit.processes import is_first
@@ -157,9 +158,28 @@ def _print_tables(results: Mapping[str, Evaluation], solid: bool) -> None:
         for unit, numbers in _distances_in_words(result):
             say(f"{spec}: errors of single landmarks in {unit}: {numbers}")
     for spec, result in results.items():
+        if words := _uncertainty_in_words(result):
+            say(f"{spec}: {words}")
+    for spec, result in results.items():
         if result.fits.pose is not None and np.isfinite(result.true_pose).any():
             say(f"\n{spec}: errors of the pose in degrees; faces without a fit count in the median.")
             say(text_table(pose_rows(result.ordered_pose, result.true_pose), POSE_COLUMNS))
+
+
+def _uncertainty_in_words(result: Evaluation) -> str:
+    """How right the regions and the visibility of landmarks are; empty where nothing is known."""
+    report = uncertainty_report(result).get("uncertainty", {})
+    held = [value for name, value in report.items() if name.startswith("regions") and value is not None]
+    if not held:
+        return ""
+    claimed = ", ".join(f"{share:.0%}" for share in SHARES)
+    words = f"regions that claim {claimed} of the landmarks hold {', '.join(f'{value:.0%}' for value in held)}"
+    hidden = report["hidden_auroc"]
+    return (
+        words
+        if hidden is None
+        else f"{words}; hidden landmarks are told from visible ones with an AUROC of {hidden:.2f}"
+    )
 
 
 def _distances_in_words(result: Evaluation) -> Iterator[tuple[str, str]]:

@@ -1,5 +1,6 @@
 """Landmarks and heads drawn over pictures."""
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import cv2
 import numpy as np
 from jax import numpy as jnp
 
+from jaxfit.cascade.uncertainty import region_radius
 from jaxfit.data.boxes import bounding_square
 from jaxfit.data.crops import turned
 from jaxfit.data.pictures import Pixels, to_eight_bits
@@ -30,6 +32,8 @@ _OTHER_EDGES = ((4, 5, 6, 7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
 # Lines of a pixel would hide a face of so few pixels and so many points: it has points only, not much larger.
 _SMALL, _MANY, _LEAST_RADIUS = 60, 20, 0.4
 _LEAST_LETTERS = 0.4  # height of the smallest letters that can be read, in those of OpenCV's font
+_SEEN = 0.5  # probability from which a point can rather be seen than not
+_HELD = 0.9  # share of the true points that lie in the ellipses
 _BITS = 4  # OpenCV takes coordinates as integers; these are binary digits after the point
 _FARTHEST = 2.0**15  # pixels; beyond, OpenCV's integers overflow
 
@@ -40,10 +44,13 @@ def draw_landmarks(
     scheme: Scheme,
     box: np.ndarray | None = None,
     truth: np.ndarray | None = None,
+    covariances: np.ndarray | None = None,
+    visible: np.ndarray | None = None,
 ) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's landmarks drawn over it.
 
-    Lines and points are as thick as the face is large. Points that are NaN, and lines to them, are left out.
+    Lines and points are as thick as the face is large. Points that are NaN, and lines to them, are left out. Points
+    that are rather hidden than not are hollow; ellipses hold the true point in 90 of 100 cases.
 
     Args:
         rgb: a picture as in `jaxfit.data.pictures.to_eight_bits`.
@@ -51,15 +58,19 @@ def draw_landmarks(
         scheme: says which points lines join.
         box: (4,) x, y, width, height of the face box, drawn in yellow.
         truth: (L, 2) pixels, the labels, drawn in red below the landmarks.
+        covariances: (L, 2, 2) of the landmarks, in squares of pixels.
+        visible: (L,) probabilities that they can be seen.
 
     Raises:
         ImageError: no such picture.
         InputError: not as many landmarks as the scheme has.
     """
     canvas = _canvas(rgb, box)
-    for points, colour in ((truth, _RED), (landmarks, _CYAN)):
-        if points is not None:
-            _face(canvas, points, scheme, colour)
+    if truth is not None:
+        _face(canvas, truth, scheme, _RED)
+    _face(canvas, landmarks, scheme, _CYAN, visible)
+    if covariances is not None:
+        _ellipses(canvas, landmarks, covariances, _CYAN)
     return canvas
 
 
@@ -151,7 +162,11 @@ def draw_row(rgb: Pixels, row: Row, scheme: Scheme, boxed: bool = True) -> np.nd
         _lines(canvas, corners, ((0, 1, 2, 3, 0),), _YELLOW if row["ok"] else _ORANGE, _thickness(corners, canvas))
     solid = solid_points(row)
     if solid is None or not row["ok"]:
-        _face(canvas, np.array(row["landmarks"]), scheme, _CYAN if row["ok"] else _ORANGE)
+        points, colour = np.array(row["landmarks"]), _CYAN if row["ok"] else _ORANGE
+        _face(canvas, points, scheme, colour, np.array(row["visible"]) if "visible" in row else None)
+        if "covariances" in row:
+            xx, xy, yy = np.array(row["covariances"]).T
+            _ellipses(canvas, points, np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2), colour)
         return canvas
     return draw_head(canvas, solid, np.array(list(row["pose"].values())), scheme)
 
@@ -207,7 +222,13 @@ def _canvas(rgb: Pixels, box: np.ndarray | None) -> np.ndarray:
     return canvas
 
 
-def _face(canvas: np.ndarray, points: np.ndarray, scheme: Scheme, colour: tuple[int, int, int]) -> None:
+def _face(
+    canvas: np.ndarray,
+    points: np.ndarray,
+    scheme: Scheme,
+    colour: tuple[int, int, int],
+    visible: np.ndarray | None = None,
+) -> None:
     if points.shape != (scheme.count, 2):
         raise InputError(f"expected ({scheme.count}, 2) landmarks of scheme {scheme.name}, got {points.shape}")
     if not np.isfinite(points).all(1).any():
@@ -216,8 +237,24 @@ def _face(canvas: np.ndarray, points: np.ndarray, scheme: Scheme, colour: tuple[
     small = _is_small(points)
     if not small:
         _lines(canvas, points, scheme.lines, colour, thickness)
-    for point in points[np.isfinite(points).all(1)]:
-        _dot(canvas, point, colour, thickness, small)
+    for number in np.flatnonzero(np.isfinite(points).all(1)):
+        _dot(canvas, points[number], colour, thickness, small, visible is not None and visible[number] < _SEEN)
+
+
+def _ellipses(canvas: np.ndarray, points: np.ndarray, covariances: np.ndarray, colour: tuple[int, int, int]) -> None:
+    """The regions of the points (L, 2) by their covariances (L, 2, 2), as thin lines; none on small faces."""
+    if _is_small(points):
+        return
+    radius = region_radius(_HELD)
+    for point, covariance in zip(points, covariances, strict=True):
+        if not (np.isfinite(point).all() and np.isfinite(covariance).all()):
+            continue
+        variances, axes = np.linalg.eigh(covariance)
+        across, along = radius * np.sqrt(np.clip(variances, 0.0, _FARTHEST))
+        x, y = axes[:, 1]
+        lengths = tuple(round(float(length) * 2**_BITS) for length in (along, across))
+        degrees = math.degrees(math.atan2(y, x))
+        cv2.ellipse(canvas, _fixed(point), lengths, degrees, 0, 360, colour, 1, cv2.LINE_AA, _BITS)
 
 
 def _depths(canvas: np.ndarray, points: np.ndarray, scheme: Scheme) -> None:
@@ -265,11 +302,19 @@ def _is_small(points: np.ndarray) -> bool:
 
 
 def _dot(
-    canvas: np.ndarray, point: np.ndarray, colour: tuple[int, int, int], thickness: float, small: bool = False
+    canvas: np.ndarray,
+    point: np.ndarray,
+    colour: tuple[int, int, int],
+    thickness: float,
+    small: bool = False,
+    hollow: bool = False,
 ) -> None:
     """A point (2,) that shows on lines of some thickness; of a small face without lines, as small as can be."""
     radius = round((_LEAST_RADIUS if small else max(1.0, 2.25 * thickness)) * 2**_BITS)
-    cv2.circle(canvas, _fixed(point), radius, colour, cv2.FILLED, cv2.LINE_AA, _BITS)
+    if not hollow:
+        cv2.circle(canvas, _fixed(point), radius, colour, cv2.FILLED, cv2.LINE_AA, _BITS)
+    elif not small:  # of a small face, there is no room for what is hidden
+        cv2.circle(canvas, _fixed(point), 2 * radius, colour, max(1, round(thickness / 2)), cv2.LINE_AA, _BITS)
 
 
 def _lines(

@@ -18,6 +18,7 @@ from jaxfit.evaluation.boxes import detected_boxes, share_boxes, start_boxes
 from jaxfit.evaluation.evaluate import Evaluation, fit_labelled, measure, require_measurable
 from jaxfit.evaluation.pose import pose_report
 from jaxfit.evaluation.statistics import intervals, summarise
+from jaxfit.evaluation.uncertainty import uncertainty_report
 from jaxfit.fitting.given_boxes import read_known_boxes
 from jaxfit.fitting.pipeline import Fitting, Pipeline, require_fitting
 from jaxfit.fitting.refine import refine, require_refinable
@@ -298,6 +299,7 @@ def evaluation_report(result: Evaluation) -> dict[str, Any]:
         "normaliser": NORMALISERS[result.normaliser].title,
         "seconds_per_face": seconds if isfinite(seconds) else None,
         **distances_report(result),
+        **uncertainty_report(result),
         **_report_3d(result),
     }
 

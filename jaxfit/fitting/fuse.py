@@ -21,7 +21,8 @@ def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
 
     Ways: ``"centroid"``, the fit nearest to all others (thesis 3.2.3, Eq. 12); ``"median"`` and ``"mean"`` of each
     coordinate; and by what the model says of its fits, ``"confidence"`` and ``"odds"``, the means weighted by c and by
-    c / (1 - c), and ``"surest"``, the fit with the highest. docs/fusion.md compares them.
+    c / (1 - c), and ``"surest"``, the fit with the highest; ``"precision"``, the mean of each landmark weighted by the
+    inverses of its covariances. docs/fusion.md compares them.
 
     Args:
         fits: of the same N faces in the same order, as `fit` gives them; faces that one of them did not fit are fused
@@ -33,10 +34,10 @@ def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
 
     Raises:
         InputError: no fits, fits of other numbers of faces or landmarks, an unknown way, or one that needs a confidence
-            which the model does not have.
+            or covariances which the model does not have.
     """
-    if way not in WAYS:
-        raise InputError(f"expected a way among {', '.join(WAYS)}; got {way!r}")
+    if way not in (*WAYS, _PRECISE):
+        raise InputError(f"expected a way among {', '.join((*WAYS, _PRECISE))}; got {way!r}")
     if len({each.landmarks.shape for each in fits}) != 1:
         shapes = ", ".join(str(each.landmarks.shape) for each in fits)
         raise InputError(f"expected fits of the same faces and landmarks, one or more; got {shapes or 'none'}")
@@ -47,8 +48,22 @@ def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
     confidence = np.stack(known, 1) if len(known) == len(fits) else np.zeros(landmarks.shape[:2])
     fused = np.full(landmarks[:, 0].shape, np.nan)
     some = np.isfinite(landmarks).all((2, 3)).any(1)
+    if way == _PRECISE:
+        covariances = [each.covariances for each in fits if each.covariances is not None]
+        if len(covariances) < len(fits):
+            raise InputError(f"expected fits with covariances for the way {way!r}; the model has none")
+        fused[some] = _precisely(landmarks[some], np.stack(covariances, 1)[some])
+        return fused
     fused[some] = WAYS[way](landmarks[some], confidence[some])
     return fused
+
+
+def _precisely(landmarks: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """The most likely landmarks (N, L, 2), of fits (N, S, L, 2) that err independently by covariances."""
+    known = _fitted(landmarks)[..., None, None]
+    precisions = np.where(known[..., None], np.linalg.inv(np.where(known[..., None], covariances, np.eye(2))), 0.0)
+    sums = np.einsum("nslij,nslj->nli", precisions, np.where(known, landmarks, 0.0))
+    return np.linalg.solve(precisions.sum(1), sums[..., None])[..., 0]
 
 
 def _centroid(landmarks: np.ndarray, confidence: np.ndarray) -> np.ndarray:
@@ -83,4 +98,5 @@ WAYS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "odds": lambda landmarks, confidence: _weighted(landmarks, confidence / (_SURE - confidence)),
     "surest": _surest,
 }
+_PRECISE = "precision"
 _TRUSTING = ("confidence", "odds", "surest")

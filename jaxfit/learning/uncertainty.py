@@ -65,7 +65,7 @@ class Axes(NamedTuple):
     own: Projection
 
 
-class _Drawn(NamedTuple):
+class DrawnFaces(NamedTuple):
     """Crops (N, H, H) of faces, the true landmarks (N, L, 2) in them, NaN where unknown, and which can be seen."""
 
     crops: np.ndarray
@@ -87,7 +87,7 @@ def sight(
         read: gets a picture's path and returns it grey.
         progress: called with the stage's name, what is done and what there is to do.
     """
-    drawn = _drawn(model, faces, seed, read, progress)
+    drawn = draw_faces(model, faces, seed, read, progress)
     axes = axes or _axes(model, drawn, seed)
     parts = []
     for first in range(0, len(drawn.crops), _BATCH):
@@ -102,7 +102,7 @@ def sight(
     return Sighted(*(part[finite] for part in (clues, own, errors, drawn.seen))), axes
 
 
-def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress) -> _Drawn:
+def draw_faces(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, progress: Progress) -> DrawnFaces:
     """The faces' crops, half of them mirrored, half of them partly covered."""
     placement, scheme = model.placement(SQUARE), model.scheme
     crop = Crops.empty(1, model.cascade.frame)
@@ -132,7 +132,7 @@ def _drawn(model: Model, faces: Sequence[FaceRecord], seed: int, read: Read, pro
     truth = np.stack(truths)
     labels = _like_neighbours(np.stack(seen), model.mean_face)
     pixels, hidden = _with_covers(random.key(seed), np.stack(crops), np.nan_to_num(truth, nan=-1e4))
-    return _Drawn(pixels, truth, np.where(hidden & np.isfinite(truth).all(2), 0.0, labels))
+    return DrawnFaces(pixels, truth, np.where(hidden & np.isfinite(truth).all(2), 0.0, labels))
 
 
 def _like_neighbours(seen: np.ndarray, mean: np.ndarray) -> np.ndarray:
@@ -160,7 +160,8 @@ def _with_covers(key: Array, crops: np.ndarray, points: np.ndarray) -> tuple[np.
 def _cover(keys: Array, crops: Array, others: Array, points: Array) -> tuple[Array, Array]:
     def of_face(key: Array, crop: Array, other: Array, points: Array) -> tuple[Array, Array]:
         cover = draw_cover(key, len(crop), _COVERED)
-        return covered(crop, other, cover), cover.hides(points)
+        pictures = (picture.astype(jnp.float32) for picture in (crop, other))
+        return covered(*pictures, cover).astype(jnp.uint8), cover.hides(points)
 
     return vmap(of_face)(keys, crops, others, points)
 
@@ -179,7 +180,7 @@ def _reduced(features: Array, axes: Projection) -> Array:
     return (features - axes.mean) @ axes.axes
 
 
-def _axes(model: Model, drawn: _Drawn, seed: int) -> Axes:
+def _axes(model: Model, drawn: DrawnFaces, seed: int) -> Axes:
     """Principal axes of the descriptors of some fits."""
     chosen = np.random.default_rng(seed).permutation(len(drawn.crops))[:_SAMPLES]
     parts: list[Clues] = []
@@ -255,7 +256,7 @@ def learned_uncertainty(folds: Sequence[Sighted], axes: Axes, seed: int) -> Unce
 
 
 def standardised(raw: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """(...) lengths of errors (..., 2) in standard deviations of the covariances that `Uncertainty.raw` (..., 4) means."""
+    """(...) lengths of errors (..., 2) in standard deviations of the covariances that raw outputs (..., 4) mean."""
     return np.asarray(_lengths(jnp.asarray(raw), jnp.asarray(errors, jnp.float32)))
 
 

@@ -20,7 +20,7 @@ SCHEME = scheme_named("points5")
 PICTURES = np.array([0, 0, 1, 3, 3, 3])  # the third picture has no face
 COUNT, LOST = len(PICTURES), 3
 MODES = 2
-KINDS = ("2D", "2D with confidence", "3D", "3D with confidence")
+KINDS = ("2D", "2D with confidence", "3D", "3D with confidence", "2D with uncertainty", "3D with uncertainty")
 
 
 @cache
@@ -33,6 +33,10 @@ def made(kind: str, seed: int = 0) -> Fits:
         arrays |= {"scale": rng.uniform(1, 2, COUNT), "b": rng.normal(size=(COUNT, MODES))}
     if "confidence" in kind:
         arrays["confidence"] = np.array([0.9, 0.2, 0.7, 0.5, 0.4, 1.0])
+    if "uncertainty" in kind:
+        factors = rng.normal(size=(COUNT, SCHEME.count, 2, 2))
+        arrays["covariances"] = factors @ factors.swapaxes(2, 3)
+        arrays["visible"] = rng.uniform(size=(COUNT, SCHEME.count))
     for values in arrays.values():
         values[LOST] = np.nan
     return Fits(
@@ -267,7 +271,7 @@ def test_dicts_have_the_columns_and_values_of_the_tables(fits: Fits, tmp_path: P
         {f"head_{name}": value for name, value in head.items() if name != "ok"} for head in tables.get("heads", [])
     ]
     rows = fits.to_dicts()
-    assert [*fits.columns] == [*landmark_columns(SCHEME, fits.confidence is not None)] + [
+    assert [*fits.columns] == [*landmark_columns(SCHEME, fits.confidence is not None, fits.covariances is not None)] + [
         f"head_{name}" for name in (head_columns(SCHEME, MODES)[3:] if heads else ())
     ]
     for number, (row, written) in enumerate(zip(rows, tables["landmarks"], strict=True)):

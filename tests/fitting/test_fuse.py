@@ -81,3 +81,23 @@ def test_what_cannot_be_fused_is_said(fits: list[Fits]) -> None:
     with pytest.raises(InputError, match="with a confidence for the way 'odds'"):
         jaxfit.fuse(silent)
     assert np.isfinite(jaxfit.fuse(silent, "median")).all()
+
+
+def test_precise_landmarks_count_more(fits: list[Fits]) -> None:
+    """What several fits say, of covariances that are known, is the solution of weighted least squares."""
+    rng = np.random.default_rng(5)
+    factors = rng.normal(size=(len(fits), 3, 21, 2, 2))
+    covariances = factors @ factors.swapaxes(-1, -2) + 0.05 * np.eye(2)
+    doubtful = [replace(each, covariances=of_fit) for each, of_fit in zip(fits, covariances, strict=True)]
+    fused = jaxfit.fuse(doubtful, "precision")
+    roots = np.linalg.inv(np.linalg.cholesky(covariances[:, 2, 7])).reshape(-1, 2)
+    points = np.concatenate(
+        [root @ each.landmarks[2, 7] for root, each in zip(roots.reshape(-1, 2, 2), fits, strict=True)]
+    )
+    np.testing.assert_allclose(fused[2, 7], np.linalg.lstsq(roots, points, rcond=None)[0], rtol=1e-6)
+    lost = doubtful[0].landmarks.copy()
+    lost[1] = np.nan
+    some = [replace(doubtful[0], landmarks=lost), *doubtful[1:]]
+    np.testing.assert_allclose(jaxfit.fuse(some, "precision")[1], jaxfit.fuse(doubtful[1:], "precision")[1])
+    with pytest.raises(InputError, match="with covariances for the way 'precision'"):
+        jaxfit.fuse(fits, "precision")

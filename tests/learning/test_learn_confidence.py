@@ -20,6 +20,7 @@ import jaxfit
 from jaxfit.cascade.confidence import Clues, Confidence
 from jaxfit.cascade.regression import Projection
 from jaxfit.data.boxes import bounding_square
+from jaxfit.data.pictures import read_image
 from jaxfit.errors import InputError, ModelError
 from jaxfit.evaluation.calibration import auroc, calibration_error
 from jaxfit.learning import confidence as trusting
@@ -47,8 +48,15 @@ def test_fits_tell_their_confidence(model, heads) -> None:
     assert np.isnan(fits.confidence[-1])
     np.testing.assert_array_equal(fits.fitted, [True] * (len(heads) + 8) + [False])
     np.testing.assert_array_equal(fits.ok, np.nan_to_num(fits.confidence) >= 0.5)
-    plain = jaxfit.fit(replace(model, confidence=None), pictures, boxes)
-    assert plain.confidence is None
+    assert fits.covariances.shape == (len(fits), 21, 2, 2)
+    assert fits.visible.shape == (len(fits), 21)
+    assert (np.linalg.eigvalsh(fits.covariances[:-1]) > 0).all()
+    assert np.isnan(fits.covariances[-1]).all()
+    half = jaxfit.fit(model, [read_image(face.image)[::2, ::2] for face in heads[:3]], [box / 2 for box in boxes[:3]])
+    ratio = np.median(fits.covariances[:3, :, 0, 0] / half.covariances[:, :, 0, 0])
+    assert 2.5 < ratio < 6  # deviations are in the pixels of the picture
+    plain = jaxfit.fit(replace(model, confidence=None, uncertainty=None), pictures, boxes)
+    assert plain.confidence is plain.covariances is plain.visible is None
     np.testing.assert_array_equal(plain.ok, fits.fitted)
     np.testing.assert_allclose(plain.landmarks, fits.landmarks, atol=1e-3)
 
@@ -74,22 +82,27 @@ def test_samples_tell_what_fits_tell(model, heads) -> None:
 
 def test_saving_changes_nothing(model, tmp_path: Path) -> None:
     jaxfit.save(model, tmp_path / "taught.safetensors")
-    copy = jaxfit.load(tmp_path / "taught.safetensors").confidence
-    pairs = zip(jax.tree.leaves(copy), jax.tree.leaves(model.confidence), strict=True)
+    copy = jaxfit.load(tmp_path / "taught.safetensors")
+    networks = [(each.confidence, each.uncertainty) for each in (copy, model)]
+    pairs = zip(*map(jax.tree.leaves, networks), strict=True)
     assert all(np.array_equal(one, other) for one, other in pairs)
-    jaxfit.save(replace(model, confidence=None), tmp_path / "plain.safetensors")
-    assert jaxfit.load(tmp_path / "plain.safetensors").confidence is None
+    jaxfit.save(replace(model, confidence=None, uncertainty=None), tmp_path / "plain.safetensors")
+    plain = jaxfit.load(tmp_path / "plain.safetensors")
+    assert plain.confidence is plain.uncertainty is None
 
 
-@pytest.mark.parametrize("part", ["seen", "moved", "biases", "output", "offset"])
+CONFIDENCE = [f"confidence.{part}" for part in ("seen", "moved", "biases", "output", "offset")]
+UNCERTAINTY = [f"uncertainty.{part}" for part in ("seen", "shape", "axes", "own", "output", "offset")]
+
+
+@pytest.mark.parametrize("name", [*CONFIDENCE, *UNCERTAINTY])
 @pytest.mark.parametrize("damage", ["longer", "missing", "nan"])
-def test_damaged_files_are_refused(model, tmp_path: Path, part: str, damage: str) -> None:
+def test_damaged_files_are_refused(model, tmp_path: Path, name: str, damage: str) -> None:
     path = tmp_path / "taught.safetensors"
     jaxfit.save(model, path)
     data = path.read_bytes()
     header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
     tensors = unpack(data)
-    name = f"confidence.{part}"
     if damage == "longer":
         tensors[name] = np.concatenate([np.atleast_1d(tensors[name])] * 2)
     elif damage == "nan":
