@@ -160,8 +160,8 @@ def _with_covers(key: Array, crops: np.ndarray, points: np.ndarray) -> tuple[np.
 def _cover(keys: Array, crops: Array, others: Array, points: Array) -> tuple[Array, Array]:
     def of_face(key: Array, crop: Array, other: Array, points: Array) -> tuple[Array, Array]:
         cover = draw_cover(key, len(crop), _COVERED)
-        pictures = (picture.astype(jnp.float32) for picture in (crop, other))
-        return covered(*pictures, cover).astype(jnp.uint8), cover.hides(points)
+        picture = covered(crop.astype(jnp.float32), other.astype(jnp.float32), cover)
+        return picture.astype(jnp.uint8), cover.hides(points)
 
     return vmap(of_face)(keys, crops, others, points)
 

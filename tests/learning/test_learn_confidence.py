@@ -48,11 +48,14 @@ def test_fits_tell_their_confidence(model, heads) -> None:
     assert np.isnan(fits.confidence[-1])
     np.testing.assert_array_equal(fits.fitted, [True] * (len(heads) + 8) + [False])
     np.testing.assert_array_equal(fits.ok, np.nan_to_num(fits.confidence) >= 0.5)
+    assert fits.covariances is not None
+    assert fits.visible is not None
     assert fits.covariances.shape == (len(fits), 21, 2, 2)
     assert fits.visible.shape == (len(fits), 21)
     assert (np.linalg.eigvalsh(fits.covariances[:-1]) > 0).all()
     assert np.isnan(fits.covariances[-1]).all()
     half = jaxfit.fit(model, [read_image(face.image)[::2, ::2] for face in heads[:3]], [box / 2 for box in boxes[:3]])
+    assert half.covariances is not None
     ratio = np.median(fits.covariances[:3, :, 0, 0] / half.covariances[:, :, 0, 0])
     assert 2.5 < ratio < 6  # deviations are in the pixels of the picture
     plain = jaxfit.fit(replace(model, confidence=None, uncertainty=None), pictures, boxes)
