@@ -115,7 +115,7 @@ def add_unshift(command: argparse.ArgumentParser) -> None:
         "--unshift",
         action="store_true",
         help="put landmarks on what they mark, where the model knows that the labels it learned from lay beside it, "
-        "a pixel or half (docs/label_shift.md), as its fits do otherwise",
+        "a pixel or half (docs/measured/label-shift.md), as its fits do otherwise",
     )
 
 

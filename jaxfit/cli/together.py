@@ -16,7 +16,7 @@ def add_processes(command: argparse.ArgumentParser, run: _Run) -> None:
     """``--coordinator HOST:PORT``, ``--processes N``, ``--process I`` and ``--distributed``, and a ``run`` that heeds
     them."""
     group = command.add_argument_group(
-        "several processes", "Each is started with the same command; see docs/clusters.md."
+        "several processes", "Each is started with the same command; see docs/guides/clusters-and-collections.md."
     )
     group.add_argument(
         "--coordinator", metavar="HOST:PORT", help="where process 0 runs, and a free port at which all find each other"
