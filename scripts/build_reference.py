@@ -58,7 +58,7 @@ def main() -> int:
 
 
 def write_reference(folder: Path) -> None:
-    """Write all pages into a folder. Those that have not changed are left alone, and Sphinx does not read them again."""
+    """Write all pages into a folder. Those that have not changed are left alone: Sphinx need not read them again."""
     for name, text in {**api_pages(), "commands.md": commands_page()}.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

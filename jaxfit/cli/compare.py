@@ -41,10 +41,10 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "compare",
         help="compare models, and other programs' fits, on labelled faces",
         description="Compare models, exported models and files of fits on the same labelled faces: errors with "
-        "bootstrap intervals by subject, paired tests with Holm's correction, effect sizes, errors of pose, curves and "
-        "the worst faces, as a page and tables. Fits in files are matched with the labels by their boxes. A face that a "
-        "contestant has no fit of is its failure. docs/guides/evaluate-and-compare.md explains how to get the fits of "
-        "other programs.",
+        "bootstrap intervals by subject, paired tests with Holm's correction, effect sizes, errors of pose, curves "
+        "and the worst faces, as a page and tables. Fits in files are matched with the labels by their boxes. A "
+        "face that a contestant has no fit of is its failure. docs/guides/evaluate-and-compare.md explains how to get "
+        "the fits of other programs.",
     )
     command.add_argument(
         "contestants",
