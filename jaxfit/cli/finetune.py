@@ -124,5 +124,5 @@ def run(options: argparse.Namespace) -> int:
             else f"people kept aside: no epoch was better than {before:.4f} of the face's side: the model is unchanged"
         )
     if had_confidence and not options.confidence:
-        say("its confidence was that of the model before, and is gone: --confidence learns it anew")
+        say("its confidence belonged to the model before fine-tuning and was removed: --confidence learns it anew")
     return 0

@@ -51,6 +51,6 @@ def run(options: argparse.Namespace) -> int:
     written, problems = write_labels(found.dataset, format, path)
     report_problems(problems)
     for face, unsure in zip(found.dataset.faces, found.unsure, strict=True):
-        say(f"{face.image}: its fits lie {100 * unsure:.2g} % of its size apart")
+        say(f"{face.image}: its fits differ by {100 * unsure:.2g} % of its size")
     say(f"{path}: {format}, {written} objects to correct, in the order in which to label them")
     return 0

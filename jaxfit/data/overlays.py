@@ -73,7 +73,7 @@ def draw_head(
 ) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a 3D fit drawn over it.
 
-    Landmarks are the brighter and warmer the nearer they are. A cross at their mean shows the head's axes: x (red) and
+    Nearer landmarks are brighter and warmer. A cross at their mean shows the head's axes: x (red) and
     y (green) point to image right and down in a frontal face, z (blue) where the face looks. A cuboid, its front face
     drawn brighter, encloses the head. What is NaN, and what depends on it, is left out.
 

@@ -47,9 +47,9 @@ class Video:
         name: the file's path, or ``camera N``.
         live: whether it is a camera, which does not end by itself.
         frame_rate: frames a second, as the file or camera says, else 30.
-        count: how many frames there are, as the file's duration and mean rate have it: files of a variable rate have
-            others; 0 if nobody knows.
-        problem: once the frames have come, that the file was cut short, or that frames of it cannot be decoded; None if
+        count: how many frames there are, from the file's duration and mean rate, which is only an estimate for files of
+            a variable rate; 0 if unknown.
+        problem: known once all frames have come: that the file was cut short, or that frames cannot be decoded; None if
             it is whole.
 
     Args:
@@ -133,7 +133,7 @@ class Video:
         self.close()
 
     def close(self) -> None:
-        """Give the file or camera back."""
+        """Close the file, or release the camera."""
         self._capture.release()
 
 

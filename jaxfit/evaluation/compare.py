@@ -157,7 +157,7 @@ class Comparison:
 
     @property
     def subjects(self) -> np.ndarray:
-        """(N,) who is seen on each face."""
+        """(N,) the subject of each face."""
         return np.array([face.subject for face in self.dataset.faces])
 
     @property

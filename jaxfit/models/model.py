@@ -33,7 +33,7 @@ class Model:
         training: how it was made: method, options, numbers of faces; plain JSON values.
         aligned: for 3D alignment, the 3D shape space that is aligned to the landmarks which the cascade finds; None for
             other methods.
-        confidence: how likely its fits are good; None: it was not learned.
+        confidence: how likely its fits are to be good; None: it was not learned.
         learned: (N,) uint64, sorted: digests of the pictures that it learned from, of their grey pixels, so that they
             are known under other names, too; None: it does not say, as models of earlier versions.
     """
@@ -72,8 +72,8 @@ class Model:
             return np.asarray(mean - mean.mean(0))
 
     def unshifted(self) -> "Model":
-        """The model whose fits lie on what they mark, even where labels lay beside it by ``cascade.frame.shift`` pixels
-        and fits, to be comparable with them, lie there, too."""
+        """The same model with fits that lie on what they mark, even if its labels lay ``cascade.frame.shift`` pixels
+        beside it."""
         return replace(self, cascade=replace(self.cascade, frame=replace(self.cascade.frame, shift=0.0)))
 
     @property
