@@ -155,7 +155,7 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
     decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
-    # Without a size it may be whatever it is: nobody knows how much would come of it.
+    # A file whose header gives no size could hold any number of pixels.
     picture = None if size is None else decode(flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is not None and head is None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:
         picture = None  # not held while it is read again

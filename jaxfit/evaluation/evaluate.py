@@ -161,7 +161,7 @@ def evaluate_steps(
 
 
 def usual_normaliser(scheme: Scheme, faces: Sequence[FaceRecord]) -> str:
-    """What errors of labelled faces are divided by, if nobody says otherwise.
+    """What errors of labelled faces are divided by, unless a normaliser is given.
 
     The outer eye corners, if the scheme has them; the bounding square if it has not, or if some of the faces are turned
     by over 45°, where the eye corners come together.

@@ -53,7 +53,8 @@ def require_fitting(fitting: Any) -> None:
 
 
 def usual_detector(model: Model) -> str:
-    """What finds the objects of a model if nobody says otherwise: the default detector of faces; of models that do not
+    """What finds the objects of a model unless a detector is named: the default detector of faces; of models that do
+    not
     know its boxes but those of whole pictures, nothing: the picture is the object."""
     known = model.known_placements
     no_face = not {*DETECTORS[DEFAULT_DETECTOR].kinds} & known.keys()

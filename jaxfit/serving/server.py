@@ -1,4 +1,4 @@
-"""The HTTP server behind the page: for browsers of this machine only, and for nobody's pages but its own.
+"""The HTTP server behind the page: for browsers of this machine only, and for its own page only.
 
 It listens on the loopback interface and keeps what it is sent in memory, for as long as it takes to answer. Web pages
 from elsewhere may try to reach it through the user's browser: requests that name another host (as after DNS rebinding),
@@ -198,7 +198,7 @@ class _Handler(BaseHTTPRequestHandler):
             actions[path]()
         except _Refusal as refusal:
             self.send_error(refusal.status, str(refusal))
-        except (ConnectionError, TimeoutError):  # nobody listens any more
+        except (ConnectionError, TimeoutError):  # the client went away
             raise
         except Exception:
             self.server.handle_error(self.request, self.client_address)
