@@ -105,8 +105,7 @@ def stages(cascade: Cascade, faces: int, seconds: Callable[..., float]) -> list[
     def move(states: State, step: jax.Array) -> State:
         return jax.vmap(jax.vmap(partial(advanced, descriptor, space)))(states, step)
 
-    directions = [None] * steps if cascade.directions is None else cascade.directions
-    regressors = [Regressor(*parts) for parts in zip(cascade.weights, cascade.biases, directions, strict=True)]
+    regressors = [cascade.regressor(step) for step in range(steps)]
     features = describe(prepared, states, cascade.windows[0])
     found = regress(features, regressors)
     numbers = sum(leaf.size for leaf in jax.tree.leaves(regressors))

@@ -1,11 +1,15 @@
-"""Split folders of pictures with ``.pts`` labels into ``train`` and ``test``, by person, as links to the files.
+"""Split data sets into ``train`` and ``test``, by person: ``.pts`` labels as links to files, AFLW as databases.
 
 The figures of ``docs/`` that name ``train/…`` and ``test/…`` are of folders made by this script.
 """
 
 import argparse
 import os
+import shutil
+import sqlite3
 import sys
+from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from jaxfit.cli.arguments import add_datasets, out_folder, seed
@@ -13,8 +17,8 @@ from jaxfit.cli.main import exit_code
 from jaxfit.errors import InputError
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.labels.datasets import parse_spec, read_datasets
+from jaxfit.labels.records import FaceRecord
 
-LABELS = ("pts", "pts0")
 PARTS = ("train", "test")
 
 
@@ -34,25 +38,46 @@ def run(arguments: argparse.Namespace) -> int:
     datasets = read_datasets(arguments.data, arguments.scheme)
     names = [Path(parse_spec(dataset.spec)[2]).absolute().name for dataset in datasets]
     for dataset, name in zip(datasets, names, strict=True):
-        if parse_spec(dataset.spec)[0] not in LABELS:
-            raise InputError(f"expected datasets of the formats {', '.join(LABELS)}; got {dataset.spec}")
+        if parse_spec(dataset.spec)[0] not in WRITERS:
+            raise InputError(f"expected datasets of the formats {', '.join(WRITERS)}; got {dataset.spec}")
         if names.count(name) > 1:
             raise InputError(f"expected folders of different names; got several called {name}")
         for folder in (Path(arguments.out, part, name) for part in PARTS):
             # Whoever is left there from another split would be in both parts.
             if folder.is_dir() and any(folder.iterdir()):
                 raise InputError(f"--out: expected no files in {folder}; delete them, or take another folder")
-    for dataset, of_dataset in zip(datasets, names, strict=True):
-        parts = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed)
-        counts = dict.fromkeys(PARTS, 0)
-        for face, part in zip(dataset.faces, parts, strict=True):
-            name = "test" if part == arguments.fold else "train"
-            folder = out_folder(str(Path(arguments.out, name, of_dataset)))
-            for file in (face.image, face.image.with_suffix(".pts")):
-                os.symlink(file.resolve(), folder / file.name)
-            counts[name] += 1
-        print(f"{dataset.spec}: {counts['train']} faces to train, {counts['test']} to test")
+    for dataset, name in zip(datasets, names, strict=True):
+        spec = parse_spec(dataset.spec)
+        folds = split_by_subject([face.subject for face in dataset.faces], arguments.folds, arguments.seed)
+        tested = folds == arguments.fold
+        for part, chosen in zip(PARTS, (~tested, tested), strict=True):
+            faces = [face for face, wanted in zip(dataset.faces, chosen, strict=True) if wanted]
+            WRITERS[spec[0]](faces, Path(spec[2]), out_folder(str(Path(arguments.out, part, name))))
+        print(f"{dataset.spec}: {(~tested).sum()} faces to train, {tested.sum()} to test")
     return 0
+
+
+def link_files(faces: Sequence[FaceRecord], source: Path, folder: Path) -> None:
+    """Links to the faces' pictures and labels."""
+    for face in faces:
+        for file in (face.image, face.image.with_suffix(".pts")):
+            os.symlink(file.resolve(), folder / file.name)
+
+
+def copy_database(faces: Sequence[FaceRecord], source: Path, folder: Path) -> None:
+    """AFLW's database with these faces alone, beside a link to the pictures."""
+    place = source if (source / "aflw.sqlite").is_file() else source / "data"
+    shutil.copyfile(place / "aflw.sqlite", folder / "aflw.sqlite")
+    os.symlink((place / "flickr").resolve(), folder / "flickr")
+    with closing(sqlite3.connect(folder / "aflw.sqlite")) as database:
+        database.execute("CREATE TEMP TABLE kept (face_id INTEGER PRIMARY KEY)")
+        database.executemany("INSERT INTO kept VALUES (?)", [(int(face.face),) for face in faces])
+        database.execute("DELETE FROM Faces WHERE face_id NOT IN kept")
+        database.execute("DELETE FROM FeatureCoords WHERE face_id NOT IN kept")
+        database.commit()
+
+
+WRITERS = {"pts": link_files, "pts0": link_files, "aflw": copy_database}
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from jaxtyping import Array, Float, Int, UInt8
 
 from jaxfit.cascade.confidence import Clues, Confidence, moves_of
-from jaxfit.cascade.model import Cascade, Regressor
+from jaxfit.cascade.model import Cascade, Hidden, Regressor
 from jaxfit.cascade.starts import Starts, square_around, starts_of
 from jaxfit.cascade.state import State, advanced, features_of, landmarks_of, state_of
 from jaxfit.errors import InputError
@@ -47,12 +47,12 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> Descent:
     move = vmap(vmap(partial(advanced, descriptor, space)))
 
     def step(
-        carried: tuple[State, Array], part: tuple[Array, Array, Array | None, Scalar]
+        carried: tuple[State, Array], part: tuple[Array, Array, Array | None, Hidden | None, Scalar]
     ) -> tuple[tuple[State, Array], State]:
         states, _ = carried
-        number, bias, directions, window = part
+        number, bias, directions, hidden, window = part
         features = features_of(descriptor, space, prepared, states, window)
-        regressors = [Regressor(weights, bias, directions) for weights in cascade.weights]
+        regressors = [Regressor(weights, bias, directions, hidden) for weights in cascade.weights]
         # All faces and starts at once, so that the weights, megabytes, are read once.
         states = move(states, lax.switch(number, [regressor.predict for regressor in regressors], features))
         return (states, features), states
@@ -60,7 +60,9 @@ def descend(cascade: Cascade, prepared: Any, states: State) -> Descent:
     numbers = jnp.arange(len(cascade.weights), dtype=jnp.int32)
     unseen = jnp.zeros((*states.angle.shape, cascade.weights[0].shape[0]), jnp.float32)
     (last, features), each = lax.scan(
-        step, (states, unseen), (numbers, cascade.biases, cascade.directions, cascade.windows)
+        step,
+        (states, unseen),
+        (numbers, cascade.biases, cascade.directions, cascade.hidden, cascade.windows),
     )
     return Descent(states, last, each, features)
 

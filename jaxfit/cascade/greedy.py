@@ -94,6 +94,8 @@ class TrainingSet:
         pivots: (N, 2) centres of the face boxes in crop pixels, about which starts are turned.
         numbers: (N,) which of the faces these are that several processes learn from; None: they are all.
         of: how many all are; None: N.
+        guessed: (N, L) bool, which landmarks nobody labelled, but a head model put where they are; None: none.
+        shares: (N,) how often faces are drawn in fine-tuning, relative to each other; None: all alike.
     """
 
     crops: UInt8[np.ndarray, "crops height width"]
@@ -103,6 +105,8 @@ class TrainingSet:
     pivots: Float[np.ndarray, "faces 2"]
     numbers: np.ndarray | None = None
     of: int | None = None
+    guessed: Bool[np.ndarray, "faces landmarks"] | None = None
+    shares: np.ndarray | None = None
 
 
 @partial(jax.jit, static_argnames="amounts")

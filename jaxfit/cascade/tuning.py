@@ -18,14 +18,14 @@ from jax import numpy as jnp
 from jaxtyping import Array, Bool, Float, UInt8
 
 from jaxfit.cascade.greedy import TrainingSet, draw_states
-from jaxfit.cascade.model import Cascade, Regressor
+from jaxfit.cascade.model import Cascade, Hidden
 from jaxfit.cascade.starts import Spread
 from jaxfit.cascade.state import State, advanced, landmarks_of
 from jaxfit.errors import InputError
 from jaxfit.image.disturb import Disturbance, disturbed
 from jaxfit.modes import mixing_types
 from jaxfit.shapes.space import ShapeSpace3D
-from jaxfit.types import Features, Landmarks, Point, Progress, Scalar, silent
+from jaxfit.types import Crop, Features, Landmarks, Point, Progress, Scalar, silent
 
 # Of the canonical face's side: below it the loss grows with the square of the error, above it with the error.
 _BEND = 0.02
@@ -49,6 +49,11 @@ class Tuning:
         batch: faces a step of the optimiser.
         dropped: share of the landmarks that a step does not see, so that it does not rely on few.
         spread: factor on the spread of the starts.
+        units: hidden units that each step gets, if the cascade has none: see `jaxfit.cascade.model.Hidden`.
+        guessed: what a landmark counts that a 3D head model guessed, relative to one that is labelled; with 0 those are
+            unknown.
+        balance: how evenly faces are drawn over their yaws: with 0 each as often as every other, with 1 each band of 15
+            degrees as often as every other.
         disturbance: of the pictures.
         seed: of all that is random; the same seed, machine and number of cores give the same bits.
 
@@ -61,17 +66,22 @@ class Tuning:
     batch: int = 64
     dropped: float = 0.3
     spread: float = 1.0
+    units: int = 0
+    guessed: float = 0.0
+    balance: float = 0.0
     disturbance: Disturbance = field(default_factory=Disturbance)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        possible = all(map(isfinite, (self.rate, self.dropped, self.spread)))
-        possible = possible and min(self.dropped, self.spread, self.seed) >= 0
-        if not (possible and self.rate > 0 and self.dropped < 1 and min(self.epochs, self.batch) >= 1):
+        possible = all(map(isfinite, (self.rate, self.dropped, self.spread, self.guessed, self.balance)))
+        possible = possible and min(self.dropped, self.spread, self.units, self.guessed, self.balance, self.seed) >= 0
+        possible = possible and self.dropped < 1 and max(self.guessed, self.balance) <= 1
+        if not (possible and self.rate > 0 and min(self.epochs, self.batch) >= 1):
             raise InputError(
-                "expected epochs and batch >= 1, rate > 0, 0 <= dropped < 1, and spread and seed >= 0; got "
-                f"epochs {self.epochs}, batch {self.batch}, rate {self.rate}, dropped {self.dropped}, spread "
-                f"{self.spread}, seed {self.seed}"
+                "expected epochs and batch >= 1, rate > 0, 0 <= dropped < 1, guessed and balance from 0 to 1, and "
+                f"spread, units and seed >= 0; got epochs {self.epochs}, batch {self.batch}, rate {self.rate}, dropped "
+                f"{self.dropped}, guessed {self.guessed}, balance {self.balance}, spread {self.spread}, units "
+                f"{self.units}, seed {self.seed}"
             )
 
 
@@ -81,6 +91,7 @@ class Learned(NamedTuple):
     weights: tuple[Array, ...]
     biases: Array
     directions: Array | None
+    hidden: Hidden | None = None
 
 
 class Progressed(NamedTuple):
@@ -139,7 +150,8 @@ def finetune_cascade(
         raise InputError("expected faces to learn from; got none")
     batches = -(-count // tuning.batch)
     rates = _rates(tuning, batches)
-    learned = Learned(cascade.weights, cascade.biases, cascade.directions)
+    cascade = _with_units(cascade, tuning)
+    learned = Learned(cascade.weights, cascade.biases, cascade.directions, cascade.hidden)
     depths = _depths(cascade, faces)
     drawn = _Drawn(spread.sigmas * tuning.spread, jnp.float32(turn))
     of_checked = None if check is None else _depths(cascade, check)
@@ -150,7 +162,7 @@ def finetune_cascade(
         # Both are overwritten in place.
         learned, of_optimiser = jax.tree.map(jnp.copy, (state.learned, state.optimiser))
         of_epoch = random.fold_in(random.key(tuning.seed), epoch)
-        order = np.resize(np.asarray(random.permutation(of_epoch, count)), batches * tuning.batch)
+        order = _drawn_rows(of_epoch, faces, batches * tuning.batch)
         for number in range(batches):
             progress("fine-tuning", epoch * batches + number, tuning.epochs * batches)
             rows = order[number * tuning.batch : (number + 1) * tuning.batch]
@@ -158,7 +170,7 @@ def finetune_cascade(
                 cascade,
                 learned,
                 of_optimiser,
-                _batch_of(faces, depths, rows),
+                _batch_of(faces, depths, rows, tuning.guessed),
                 random.fold_in(of_epoch, number),
                 drawn,
                 rates[epoch * batches + number],
@@ -186,23 +198,60 @@ class _Drawn(NamedTuple):
     turn: Scalar
 
 
+def _drawn_rows(key: Array, faces: TrainingSet, count: int) -> np.ndarray:
+    """(count,) which faces an epoch shows: each once, the last ones again; or by their shares."""
+    if faces.shares is None:
+        return np.resize(np.asarray(random.permutation(key, len(faces.source))), count)
+    shares = jnp.asarray(faces.shares / faces.shares.sum(), jnp.float32)
+    return np.asarray(random.choice(key, len(faces.source), (count,), p=shares))
+
+
+def _with_units(cascade: Cascade, tuning: Tuning) -> Cascade:
+    """The cascade with hidden units that add nothing yet.
+
+    Raises:
+        InputError: it has others already.
+    """
+    if not tuning.units:
+        return cascade
+    if cascade.hidden is not None:
+        if (count := cascade.hidden.biases.shape[1]) != tuning.units:
+            raise InputError(f"expected units 0 or {count}, which the cascade has already; got {tuning.units}")
+        return cascade
+    steps, outputs, params = len(cascade.weights), cascade.weights[0].shape[1], cascade.biases.shape[1]
+    of_weights, of_biases = random.split(random.key(tuning.seed))
+    drawn = random.normal(of_weights, (steps, outputs, tuning.units), jnp.float32)
+    hidden = Hidden(
+        drawn / (np.sqrt(outputs).astype(np.float32) * _found_sizes(cascade)[:, :, None]),
+        random.uniform(of_biases, (steps, tuning.units), jnp.float32, -1.0, 1.0),
+        jnp.zeros((steps, tuning.units, params), jnp.float32),
+    )
+    return replace(cascade, hidden=hidden)
+
+
 class _Batch(NamedTuple):
-    """Faces of a `TrainingSet`: their own crops, and the depths (faces, landmarks) of 3D landmarks, NaN in 2D."""
+    """Faces of a `TrainingSet`: their own crops, the depths (faces, landmarks) of 3D landmarks, NaN in 2D, and what
+    each landmark counts."""
 
     crops: UInt8[Array, "faces height width"]
     mirrored: Bool[Array, "faces"]
     landmarks: Float[Array, "faces landmarks 2"]
     pivots: Float[Array, "faces 2"]
     depths: Float[Array, "faces landmarks"]
+    counts: Float[Array, "faces landmarks"]
 
 
-def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray) -> _Batch:
+def _batch_of(faces: TrainingSet, depths: np.ndarray, rows: np.ndarray, guessed: float = 0.0) -> _Batch:
+    counts = np.ones(depths[rows].shape, np.float32)
+    if faces.guessed is not None:
+        counts[faces.guessed[rows]] = guessed
     return _Batch(
         jnp.asarray(faces.crops[faces.source[rows]]),
         jnp.asarray(faces.mirrored[rows]),
         jnp.asarray(faces.landmarks[rows], jnp.float32),
         jnp.asarray(faces.pivots[rows], jnp.float32),
         jnp.asarray(depths[rows]),
+        jnp.asarray(counts),
     )
 
 
@@ -223,22 +272,40 @@ def _rates(tuning: Tuning, batches: int) -> np.ndarray:
 
 def _sizes(cascade: Cascade) -> Learned:
     """How large what is tuned is at first, by columns, as parameters, such as pixels and radians, differ in size."""
-
-    def size(values: Array, axis: int) -> Array:
-        return jnp.sqrt(jnp.mean(values**2, axis, keepdims=True))
-
-    directions = cascade.directions
-    landmarks = cascade.weights[0].shape[0] // cascade.descriptor.size
+    directions, hidden = cascade.directions, cascade.hidden
     columns = [
         weights if directions is None else jnp.matmul(weights, directions[step])
         for step, weights in enumerate(cascade.weights)
     ]
+    of_steps = _comes_to(cascade) * jnp.concatenate([_size(each, 0) for each in columns])
+    of_hidden = None
+    if hidden is not None:
+        outputs, units = hidden.weights.shape[1:]
+        of_hidden = Hidden(
+            1 / (np.sqrt(outputs).astype(np.float32) * _found_sizes(cascade)[:, :, None]),
+            jnp.ones_like(hidden.biases),
+            of_steps[:, None] / np.sqrt(units).astype(np.float32),
+        )
     return Learned(
-        tuple(size(weights, 0) for weights in cascade.weights),
-        # What a step comes to, as a landmark's features have length 1.
-        np.sqrt(landmarks).astype(np.float32) * jnp.concatenate([size(each, 0) for each in columns]),
-        None if directions is None else size(directions, 1),
+        tuple(_size(weights, 0) for weights in cascade.weights),
+        of_steps,
+        None if directions is None else _size(directions, 1),
+        of_hidden,
     )
+
+
+def _size(values: Array, axis: int) -> Array:
+    return jnp.sqrt(jnp.mean(values**2, axis, keepdims=True))
+
+
+def _comes_to(cascade: Cascade) -> np.float32:
+    """What a linear map's output comes to, times the size of its weights, as a landmark's features have length 1."""
+    return np.sqrt(cascade.weights[0].shape[0] // cascade.descriptor.size).astype(np.float32)
+
+
+def _found_sizes(cascade: Cascade) -> Float[Array, "steps outputs"]:
+    """How large what the linear maps find is, above 0."""
+    return _comes_to(cascade) * jnp.concatenate([_size(each, 0) for each in cascade.weights]) + 1e-6
 
 
 def _loss(
@@ -249,9 +316,8 @@ def _loss(
     keep = partial(_without_some, keys, dropped, len(batch.landmarks[0])) if dropped else _everything
     distances = _distances_of_steps(cascade, levels, batch, states, keep)
     shares = _EARLIER ** np.arange(len(distances), dtype=np.float32)[::-1]
-    return (
-        jnp.sum(shares * jnp.stack([_mean_known(optax.losses.huber_loss(e, delta=_BEND)) for e in distances])) / _BEND
-    )
+    losses = [_mean_known(optax.losses.huber_loss(each, delta=_BEND), batch.counts) for each in distances]
+    return jnp.sum(shares * jnp.stack(losses)) / _BEND
 
 
 def _everything(step: int, features: Array) -> Array:
@@ -301,9 +367,7 @@ def _distances_of_steps(
     # Not a scan over the steps: in each, the gradient would be that of all steps' weights.
     for step in range(len(cascade.weights)):
         features = keep(step, _features(cascade, prepared, states, step, levels[step]))
-        directions = None if cascade.directions is None else cascade.directions[step]
-        regressor = Regressor(cascade.weights[step], cascade.biases[step], directions)
-        states = vmap(vmap(partial(advanced, descriptor, space)))(states, regressor.predict(features))
+        states = vmap(vmap(partial(advanced, descriptor, space)))(states, cascade.regressor(step).predict(features))
         each = jax.tree.map(lambda part: part[:, 0], states)
         found.append(vmap(partial(_distances, space))(each, batch.landmarks, batch.depths) / cascade.frame.face)
     return found
@@ -321,9 +385,10 @@ def _distances(space: Any, state: State, landmarks: Landmarks, depths: Float[Arr
     return jnp.where(known, jnp.sqrt(squares + 1e-6), jnp.nan)
 
 
-def _mean_known(values: Float[Array, "faces landmarks"]) -> Scalar:
+def _mean_known(values: Float[Array, "faces landmarks"], counts: Float[Array, "faces landmarks"]) -> Scalar:
     known = jnp.isfinite(values)
-    return jnp.sum(jnp.where(known, values, 0.0)) / jnp.maximum(known.sum(dtype=values.dtype), 1)
+    counts = jnp.where(known, counts, 0.0)
+    return jnp.sum(counts * jnp.where(known, values, 0.0)) / jnp.maximum(counts.sum(), 1)
 
 
 @partial(jax.jit, static_argnames=("levels", "dropped", "disturbance"), donate_argnames=("learned", "of_optimiser"))
@@ -355,7 +420,7 @@ def _updated(
 
 
 def _with(cascade: Cascade, learned: Learned) -> Cascade:
-    return replace(cascade, weights=learned.weights, biases=learned.biases, directions=learned.directions)
+    return replace(cascade, **learned._asdict())
 
 
 def _levels(cascade: Cascade) -> tuple[int, ...]:
@@ -370,8 +435,8 @@ def _upright(batch: _Batch) -> _Batch:
 
 
 def _disturbed(key: Array, batch: _Batch, amounts: Disturbance) -> _Batch:
-    def of_face(key: Array, face: _Batch) -> _Batch:
-        crop, warp = disturbed(key, face.crops, amounts)
+    def of_face(key: Array, face: _Batch, other: Crop) -> _Batch:
+        crop, warp = disturbed(key, face.crops, amounts, other)
         scale = jnp.sqrt(jnp.linalg.det(warp.matrix))
         return face._replace(
             crops=crop,
@@ -380,7 +445,7 @@ def _disturbed(key: Array, batch: _Batch, amounts: Disturbance) -> _Batch:
             depths=face.depths / scale,
         )
 
-    return vmap(of_face)(random.split(key, len(batch.crops)), batch)
+    return vmap(of_face)(random.split(key, len(batch.crops)), batch, jnp.roll(batch.crops, 1, 0))
 
 
 def _starts(cascade: Cascade, keys: Array, pivots: Array, drawn: _Drawn) -> State:

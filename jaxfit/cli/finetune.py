@@ -25,12 +25,19 @@ _HELP = {
     "batch": "faces a step of the optimiser",
     "dropped": "share of the landmarks that each step does not see",
     "spread": "factor on the spread of the starts",
+    "units": "hidden units that each step gets, so that it is more than a linear map",
+    "guessed": "what landmarks count that --head-model guessed where labels are missing, relative to labelled ones",
+    "balance": "how evenly faces are drawn over their yaws, which --head-model tells: 0 as they come, 1 evenly",
     "rotation": "standard deviation, in radians, of how far pictures are turned",
     "log_scale": "standard deviation of the logarithm of how much pictures are scaled",
     "shear": "standard deviation of how much pictures are sheared",
     "blur": "share of the pictures that are blurred",
     "noise": "grey values of noise in pictures",
     "hidden": "share of the pictures of which a part is hidden",
+    "covered": "share of the pictures of which a part of another covers a part",
+    "dark": "share of the pictures that are darkened",
+    "coarse": "share of the pictures that get larger pixels",
+    "compressed": "share of the pictures that are compressed as JPEG does it",
 }
 
 

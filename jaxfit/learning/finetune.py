@@ -18,6 +18,7 @@ from jaxfit.data.pictures import Read, read_grey
 from jaxfit.errors import InputError, ModelError
 from jaxfit.heads.model import DEFAULT_HEAD_MODEL, load_head_model
 from jaxfit.image.disturb import Disturbance
+from jaxfit.labels.aligned import align_labels
 from jaxfit.labels.lifting import Lifted, fill_labels
 from jaxfit.labels.records import FaceRecord
 from jaxfit.learning.prepare import cut_labelled, training_set, usable_faces
@@ -27,10 +28,13 @@ from jaxfit.models.model import SQUARE, Model
 from jaxfit.modes import computing
 from jaxfit.processes import require_alone
 from jaxfit.schemes.scheme import Scheme, mirror_order
+from jaxfit.shapes.asm import ActiveShapeModel
 from jaxfit.types import Progress, silent
 
 _CHECKPOINT = "jaxfit-finetuning"
 _FORMAT = 2
+_VARIANCE = 0.99  # of the head model that says how faces are turned
+_BAND = 15.0  # degrees of yaw within which faces count as alike
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,8 @@ def finetune(
         tuning: how.
         validation: share of the people who are kept aside to choose the best epoch by; with 0 the last one is taken.
         mirror: learn from mirrored pictures too.
-        head_model: 3D head model, a bundled one's name or a file, that says where faces with missing landmarks lie.
+        head_model: 3D head model, a bundled one's name or a file, that says where faces with missing landmarks lie, and
+            how faces are turned, if they are balanced by that (``tuning.balance``).
         checkpoint: a file that is written after each epoch; if it exists, fine-tuning goes on from there.
         progress: called with a stage's name, what is done and what there is to do.
         read: gets a picture's path and returns it grey, uint8 (H, W); ``GreyPictures()`` remembers them.
@@ -93,6 +98,7 @@ def finetune(
     problems += flat
     if len(usable) < 2:
         raise InputError(f"expected at least two faces that can be learned from; got {len(usable)}")
+    head = load_head_model(head_model).of(scheme, _VARIANCE) if tuning.balance else None
     landmarks = np.stack([face.landmarks for face in usable])
     squares = np.stack([bounding_square(points) for points in landmarks])
     placement = model.placement(SQUARE)
@@ -101,21 +107,32 @@ def finetune(
     if len(rows) < 2:
         raise InputError(f"expected at least two readable pictures; got {len(rows)}: {'; '.join(problems[:3])}")
     present = {id(face): known for face, known in placed}
-    landmarks[~np.stack([present[id(face)] for face in usable])] = np.nan
+    guessed = ~np.stack([present[id(face)] for face in usable])
+    labelled = np.where(guessed[..., None], np.nan, landmarks)
+    shares = None if head is None else _even_over_yaws(landmarks[rows], head, tuning.balance)
     aside = _kept_aside([usable[row].subject for row in rows], validation, tuning.seed)
 
-    def some(rows: np.ndarray) -> TrainingSet:
-        return training_set(crops, landmarks, squares, rows, scheme if mirror else None)
+    def some(points: np.ndarray, rows: np.ndarray) -> TrainingSet:
+        return training_set(crops, points, squares, rows, scheme if mirror else None)
+
+    def to_learn_from() -> TrainingSet:
+        faces = some(landmarks if tuning.guessed else labelled, rows[~aside])
+        own = shares if shares is None else shares[~aside]
+        others = guessed[rows[~aside]]
+        if mirror:
+            others = np.concatenate([others, others[:, mirror_order(scheme)]])
+            own = own if own is None else np.tile(own, 2)
+        return replace(faces, guessed=others, shares=own)
 
     kept = (
         None
         if checkpoint is None
-        else _Checkpoint(Path(checkpoint), _settings(model, tuning, mirror, landmarks[rows], aside))
+        else _Checkpoint(Path(checkpoint), _settings(model, tuning, mirror, labelled[rows], aside))
     )
     cascade, errors = finetune_cascade(
         model.cascade,
-        some(rows[~aside]),
-        some(rows[aside]) if aside.any() else None,
+        to_learn_from(),
+        some(labelled, rows[aside]) if aside.any() else None,
         placement.spread,
         tuning,
         turn=model.starts.turn,
@@ -170,8 +187,9 @@ def retuned(model: Model, like: Model, faces: Sequence[FaceRecord], **how: Any) 
     if (settings := like.training.get("finetuned")) is None:
         return model
     try:
-        known = {option.name: settings[option.name] for option in fields(Tuning)}
-        tuning = Tuning(**known | {"disturbance": Disturbance(**known["disturbance"])})
+        # What models do not mention was not known when they were made.
+        known = {option.name: settings[option.name] for option in fields(Tuning) if option.name in settings}
+        tuning = Tuning(**known | {"disturbance": Disturbance(**settings["disturbance"])})
         how_tuned = {"tuning": tuning, "validation": settings["validation"], "mirror": settings["mirror"]}
     except (LookupError, TypeError) as error:
         raise InputError(
@@ -197,6 +215,13 @@ def _placed(
         if landmarks is not None:
             placed.append((replace(face, landmarks=landmarks, present=all_of_them), face.known))
     return placed, list(filled.problems)
+
+
+def _even_over_yaws(landmarks: np.ndarray, head: ActiveShapeModel, balance: float) -> np.ndarray:
+    """(N,) how often faces (N, L, 2) are drawn, so that bands of yaw come more evenly."""
+    bands = np.abs(align_labels(head, landmarks).pose[:, 2]) // _BAND
+    _, band, counts = np.unique(np.nan_to_num(bands), return_inverse=True, return_counts=True)
+    return counts[band] ** -balance
 
 
 def _kept_aside(subjects: Sequence[str], share: float, seed: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from safetensors.numpy import load as parse_tensors
 from safetensors.numpy import save as pack_tensors
 
 from jaxfit.cascade.confidence import Confidence, count_moves
-from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.model import Cascade, Hidden
 from jaxfit.cascade.starts import Starts
 from jaxfit.data.inputs import read_regular
 from jaxfit.data.outputs import atomic_write
@@ -135,6 +135,7 @@ def tensors_of(model: Model) -> dict[str, np.ndarray]:
         "biases": np.asarray(cascade.biases, np.float32),
         "windows": np.asarray(cascade.windows, np.float32),
         **({} if cascade.directions is None else {"directions": np.asarray(cascade.directions, np.float32)}),
+        **({} if cascade.hidden is None else _hidden_tensors(cascade.hidden)),
         **_arrays("space", cascade.space),
         **({} if model.aligned is None else _arrays("head", model.aligned)),
         **_confidence_tensors(model.confidence),
@@ -258,6 +259,11 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
         expected |= {"weights": (steps, features, rank), "directions": (steps, rank, params)}
     else:
         expected["weights"] = (steps, features, params)
+    has_hidden = any(name.startswith("hidden.") for name in tensors)
+    if has_hidden:
+        outputs, units = expected["weights"][2], tensors["hidden.biases"].shape[-1]
+        sizes = {"weights": (outputs, units), "biases": (units,), "output": (units, params)}
+        expected |= {f"hidden.{part}": (steps, *shape) for part, shape in sizes.items()}
     for name, shape in expected.items():
         if tensors[name].shape != shape:
             raise ModelError(f"damaged: {name} has shape {tensors[name].shape}, expected {shape}")
@@ -276,6 +282,9 @@ def _cascade(header: dict[str, Any], tensors: dict[str, np.ndarray], frame: Fram
         descriptor=descriptor,
         frame=frame,
         directions=jnp.asarray(tensors["directions"], jnp.float32) if "directions" in tensors else None,
+        hidden=None
+        if not has_hidden
+        else Hidden(*(jnp.asarray(tensors[f"hidden.{part}"], jnp.float32) for part in Hidden._fields)),
     )
 
 
@@ -285,6 +294,10 @@ def _aligned(header: dict[str, Any], tensors: dict[str, np.ndarray], count: int)
         return None
     kind: Any = _ALIGNED[header.get("aligned", "camera-asm")]
     return _assembled("head", kind, tensors, {"landmarks": count, "dimensions": 3})
+
+
+def _hidden_tensors(hidden: Hidden) -> dict[str, np.ndarray]:
+    return {f"hidden.{part}": np.asarray(value, np.float32) for part, value in hidden._asdict().items()}
 
 
 def _confidence_tensors(confidence: Confidence | None) -> dict[str, np.ndarray]:

@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from scipy.spatial.transform import Rotation
 
 from jaxfit.cascade.fit import centroid, find, fit_crops, fit_face, fit_heads, fit_starts
-from jaxfit.cascade.model import Cascade, first_steps
+from jaxfit.cascade.model import Cascade, Hidden, Regressor, first_steps
 from jaxfit.cascade.starts import Starts, starts_of
 from jaxfit.descriptors.descriptor import describe_point
 from jaxfit.descriptors.sift import Sift
@@ -79,9 +79,30 @@ def test_a_batch_is_a_loop():
         np.testing.assert_allclose(fit_crops(CASCADE, crop[None])[0], landmarks, atol=1e-2)
 
 
-@pytest.mark.parametrize("rank", [None, 5])
-def test_after_the_first_steps_the_others_lead_to_the_end(rank):
+def hidden_units(outputs):
+    """Random hidden units of three steps."""
+    rng = np.random.default_rng(2)
+    shapes = ((3, outputs, 7), (3, 7), (3, 7, SPACE.size))
+    return Hidden(*(jnp.asarray(0.3 * rng.normal(size=shape), jnp.float32) for shape in shapes))
+
+
+def test_hidden_units_are_a_small_network():
+    rng = np.random.default_rng(0)
+    features, weights, bias = rng.normal(size=(4, 9)), rng.normal(size=(9, 2)), rng.normal(size=SPACE.size)
+    directions = rng.normal(size=(2, SPACE.size))
+    hidden = jax.tree.map(lambda part: part[0], hidden_units(2))
+    regressor = Regressor(*(jnp.asarray(part, jnp.float32) for part in (weights, bias, directions)), hidden)
+    found = features @ weights
+    units = np.tanh(found @ np.asarray(hidden.weights) + np.asarray(hidden.biases))
+    expected = found @ directions + bias + units @ np.asarray(hidden.output)
+    np.testing.assert_allclose(regressor.predict(jnp.asarray(features, jnp.float32)), expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(("rank", "hidden"), [(None, False), (5, False), (5, True), (None, True)])
+def test_after_the_first_steps_the_others_lead_to_the_end(rank, hidden):
     cascade, fit, rest = CASCADE, jax.jit(fit_face), slice(1, None)
+    if hidden:
+        cascade = replace(cascade, hidden=hidden_units(rank or SPACE.size))
     if rank is not None:
         directions = np.linalg.qr(np.random.default_rng(1).normal(size=(3, SPACE.size, rank)))[0].swapaxes(1, 2)
         narrow = tuple(weights[:, :rank] for weights in cascade.weights)
@@ -92,6 +113,7 @@ def test_after_the_first_steps_the_others_lead_to_the_end(rank):
         biases=cascade.biases[rest],
         windows=cascade.windows[rest],
         directions=None if rank is None else cascade.directions[rest],
+        hidden=jax.tree.map(lambda part: part[rest], cascade.hidden),
     )
     first = fit(first_steps(cascade, 1), CROPS[0], START)
     assert np.abs(first - START).max() > 0.5

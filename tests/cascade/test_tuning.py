@@ -40,7 +40,14 @@ def tuned(faces="all", seed=0):
 
 
 def learned_of(cascade):
-    return Learned(cascade.weights, cascade.biases, cascade.directions)
+    return Learned(cascade.weights, cascade.biases, cascade.directions, cascade.hidden)
+
+
+def with_hidden(cascade, seed=0):
+    """The cascade with hidden units that do something."""
+    cascade = tuning._with_units(cascade, replace(TUNING, units=6))
+    output = 0.5 * random.normal(random.key(seed), cascade.hidden.output.shape, jnp.float32)
+    return replace(cascade, hidden=cascade.hidden._replace(output=output))
 
 
 def assert_same_bits(a, b):
@@ -65,8 +72,14 @@ def loss_of(cascade, landmarks=None, dropped=0.0):
 
 @pytest.mark.parametrize(
     "cascade",
-    [greedy, lambda: greedy(rank=5), lambda: greedy(Dense()), lambda: greedy(Patch(turns=True))],
-    ids=["patch", "few directions", "dense", "turning"],
+    [
+        greedy,
+        lambda: greedy(rank=5),
+        lambda: greedy(Dense()),
+        lambda: greedy(Patch(turns=True)),
+        lambda: with_hidden(greedy(rank=5)),
+    ],
+    ids=["patch", "few directions", "dense", "turning", "hidden units"],
 )
 def test_gradients_are_those_of_finite_differences(cascade):
     cascade = cascade()
@@ -190,15 +203,56 @@ def test_a_single_step_learns():
 def test_each_face_is_seen_in_each_epoch(monkeypatch):
     seen, batch_of = [], tuning._batch_of
 
-    def watched(faces, depths, rows):
+    def watched(faces, depths, rows, guessed):
         seen.append(rows)
-        return batch_of(faces, depths, rows)
+        return batch_of(faces, depths, rows, guessed)
 
     monkeypatch.setattr(tuning, "_batch_of", watched)
     finetune_cascade(greedy(), FACES, None, SPREAD, replace(TUNING, epochs=2, batch=16))
     for epoch in np.reshape(seen, (2, 48)):
         counts = np.bincount(epoch, minlength=COUNT)
         assert (counts.min(), counts.max()) == (1, 2)
+
+
+def test_faces_are_drawn_by_their_shares(monkeypatch):
+    shares = np.where(np.arange(COUNT) < 10, 3.0, np.where(np.arange(COUNT) < 20, 0.0, 1.0))
+    seen, batch_of = [], tuning._batch_of
+    monkeypatch.setattr(tuning, "_batch_of", lambda *some: (seen.append(some[2]), batch_of(*some))[1])
+    finetune_cascade(greedy(), replace(FACES, shares=shares), None, SPREAD, replace(TUNING, epochs=8, batch=COUNT))
+    counts = np.bincount(np.concatenate(seen), minlength=COUNT)
+    assert not counts[10:20].any()
+    np.testing.assert_allclose(counts[:10].sum() / counts.sum(), 0.6, atol=0.1)
+
+
+@pytest.mark.parametrize("guessed", [0.0, 0.5, 1.0])
+def test_guessed_landmarks_count_as_much_as_asked(guessed):
+    """One landmark alone counts; then it with another that is guessed: a mean of both."""
+    first = np.arange(FACES.landmarks.shape[1]) == 0
+    second = np.arange(FACES.landmarks.shape[1]) == 1
+
+    def loss(known, of_guessed=None):
+        landmarks = np.where(known[:, None], FACES.landmarks, np.nan).astype(np.float32)
+        marks = None if of_guessed is None else np.tile(of_guessed, (COUNT, 1))
+        faces = replace(FACES, landmarks=landmarks, guessed=marks)
+        batch = tuning._batch_of(faces, tuning._depths(greedy(), faces), np.arange(8), guessed)
+        batch = tuning._upright(batch)
+        drawn = tuning._Drawn(SPREAD.sigmas, jnp.float32(0))
+        states = tuning._starts(greedy(), random.split(random.key(0), 8), batch.pivots, drawn)
+        return float(tuning._loss(greedy(), tuning._levels(greedy()), batch, states, random.key(1), 0.0))
+
+    expected = (loss(first) + guessed * loss(second)) / (1 + guessed)
+    np.testing.assert_allclose(loss(first | second, second), expected, rtol=1e-4)
+
+
+def test_hidden_units_add_nothing_before_they_learn():
+    begun = tuning._with_units(greedy(rank=5), replace(TUNING, units=16))
+    np.testing.assert_array_equal(fit_crops(begun, NEW_CROPS), fit_crops(greedy(rank=5), NEW_CROPS))
+    assert tuning._with_units(begun, replace(TUNING, units=16)) is begun
+    with pytest.raises(InputError, match="expected units 0 or 16"):
+        tuning._with_units(begun, replace(TUNING, units=8))
+    learned, errors = finetune_cascade(greedy(rank=5), FACES, CHECK, SPREAD, replace(TUNING, units=16))
+    assert np.abs(learned.hidden.output).max() > 0.01
+    assert errors[-1] < 0.85 * errors[0]
 
 
 def test_starts_are_turned_as_far_as_training_had_them():

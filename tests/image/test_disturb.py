@@ -1,5 +1,6 @@
 """Disturbed pictures: points move with what they show, and amounts are what they are called."""
 
+import cv2
 import jax
 import numpy as np
 import pytest
@@ -7,9 +8,10 @@ from jax import numpy as jnp
 from jax import random
 
 from jaxfit.errors import InputError
-from jaxfit.image.disturb import Disturbance, Warp, draw_warp, spoiled
+from jaxfit.image import disturb
+from jaxfit.image.disturb import Disturbance, Warp, covered, draw_warp, spoiled
 
-NOTHING = Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+NOTHING = Disturbance(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # the others are nothing unless given
 SIDE = 40
 MIDDLE = jnp.full(2, (SIDE - 1) / 2)
 KEYS = random.split(random.key(0), 400)
@@ -86,6 +88,47 @@ def test_a_share_is_partly_hidden() -> None:
         for picture, changed in zip(pictures, pictures != np.tile([60.0, 180.0], SIDE // 2), strict=True)
     ]
     assert max(map(len, greys)) == 1
+
+
+def test_a_share_is_covered_by_parts_of_another_picture() -> None:
+    picture, other = jnp.zeros((SIDE, SIDE)), 100.0 + jnp.arange(SIDE * SIDE, dtype=jnp.float32).reshape(SIDE, SIDE)
+    found = np.asarray(jax.vmap(lambda key: covered(key, picture, other, 0.5))(KEYS))
+    changed = found != 0
+    np.testing.assert_array_equal(found[changed], np.broadcast_to(other, found.shape)[changed])
+    assert 0.4 < changed.any((1, 2)).mean() < 0.55
+    assert changed.mean((1, 2)).max() < 0.5**2
+
+
+def test_a_share_is_dark() -> None:
+    light = some(dark=0.5).mean((1, 2)) / 120
+    assert 0.4 < (light < 0.999).mean() < 0.6
+    assert 0.1 <= light.min() < 0.2
+
+
+def test_a_share_has_larger_pixels() -> None:
+    """Stripes of a pixel are gone; the light, and slow changes, stay."""
+    pictures = some(coarse=0.5)
+    contrast = pictures[:, 8:-8, 8:-8].std((1, 2)) / 60
+    assert 0.4 < (contrast < 0.999).mean() < 0.6
+    assert contrast.min() < 0.3
+    np.testing.assert_allclose(pictures.mean((1, 2)), 120, atol=8)
+    slope = jnp.tile(jnp.arange(SIDE, dtype=jnp.float32), (SIDE, 1))
+    amounts = Disturbance(**(vars(NOTHING) | {"coarse": 1.0}))
+    found = np.asarray(jax.vmap(lambda key: spoiled(key, slope, amounts))(KEYS))
+    np.testing.assert_allclose(found[:, :, 8:-8], np.broadcast_to(slope, found.shape)[:, :, 8:-8], atol=0.6)
+
+
+@pytest.mark.parametrize("quality", [10, 30])
+def test_compressed_pictures_are_those_of_a_jpeg_library(quality: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    picture = np.round(128 + 60 * np.sin(rows / 3) * np.cos(columns / 5) + 20 * (columns > 20)).astype(np.uint8)
+    written = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    expected = cv2.imdecode(written, cv2.IMREAD_GRAYSCALE)
+    monkeypatch.setattr(disturb, "_QUALITIES", (float(quality), float(quality)))
+    amounts = Disturbance(**(vars(NOTHING) | {"compressed": 1.0}))
+    found = np.asarray(spoiled(KEYS[0], jnp.asarray(picture, jnp.float32), amounts))
+    assert np.abs(found - picture).mean() > 1
+    assert np.abs(found - expected).mean() < 0.5
 
 
 @pytest.mark.parametrize("wrong", [{"rotation": -0.1}, {"blur": 1.5}, {"hidden": np.nan}, {"noise": np.inf}])

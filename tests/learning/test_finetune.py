@@ -160,6 +160,45 @@ def test_guessed_landmarks_do_not_count(cautious, heads) -> None:
     assert moved[1] > 2.0
 
 
+def test_guessed_landmarks_count_where_that_is_asked_for(cautious, heads) -> None:
+    """Landmarks that nobody labelled stay near where the head model has them, though the others are labelled wrong."""
+    hidden = np.arange(21) < 6
+    faces = [partly(face, ~hidden) for face in heads]
+    quiet = replace(TUNING, epochs=6)
+    alone, guided = (
+        jaxfit.finetune(cautious, faces, tuning=replace(quiet, guessed=share), validation=0.0).model
+        for share in (0.0, 1.0)
+    )
+    truth = np.stack([face.landmarks for face in heads])
+    boxes = [bounding_square(face.landmarks) for face in heads]
+    errors = [
+        np.linalg.norm(jaxfit.fit(model, [face.image for face in heads], boxes).landmarks - truth, axis=2)
+        for model in (cautious, alone, guided)
+    ]
+    of_hidden = [each[:, hidden].mean() for each in errors]
+    assert of_hidden[2] < min(of_hidden[:2])
+
+
+def test_yaws_are_balanced(cautious, heads, monkeypatch) -> None:
+    shares = []
+
+    def watched(cascade, faces, *_, **__):
+        shares.append(faces.shares)
+        return cascade, []
+
+    module = import_module("jaxfit.learning.finetune")
+    monkeypatch.setattr(module, "finetune_cascade", watched)
+    for balance in (0.0, 1.0):
+        jaxfit.finetune(cautious, heads, tuning=replace(TUNING, balance=balance), validation=0.0)
+    assert shares[0] is None
+    of_faces = shares[1][: len(heads)]
+    np.testing.assert_array_equal(shares[1][len(heads) :], of_faces)  # their mirror images
+    bands = np.abs([face.pose[2] for face in heads]) // 15
+    own = {band: of_faces[bands == band].sum() for band in set(bands)}
+    # The head model's yaws, not the labelled ones, make the bands.
+    assert max(own.values()) < 3 * min(own.values())
+
+
 def test_people_are_kept_aside_whole() -> None:
     subjects = [f"person {n % 10}" for n in range(40)]
     aside = _kept_aside(subjects, 0.25, 0)

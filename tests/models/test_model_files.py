@@ -20,7 +20,7 @@ from safetensors.numpy import load as unpack
 from safetensors.numpy import save as pack
 from tensor_files import header_of, load_bytes, repack
 
-from jaxfit.cascade.model import Cascade
+from jaxfit.cascade.model import Cascade, Hidden
 from jaxfit.cascade.starts import Spread
 from jaxfit.descriptors.dense import Dense
 from jaxfit.descriptors.sift import Sift
@@ -112,6 +112,14 @@ def narrow_model():
         descriptor=Dense("face"),
     )
     return replace(points, cascade=cascade)
+
+
+def hidden_model():
+    """Of steps along one direction, with five hidden units."""
+    narrow, rng = narrow_model(), np.random.default_rng(5)
+    shapes = ((2, 1, 5), (2, 5), (2, 5, 4))
+    hidden = Hidden(*(jnp.asarray(rng.normal(size=shape), jnp.float32) for shape in shapes))
+    return replace(narrow, cascade=replace(narrow.cascade, hidden=hidden))
 
 
 def same_arrays(a, b):
@@ -284,6 +292,14 @@ STEPS = {"weights": [(2, 256, 3), (2, 128, 4), (256, 4)], "biases": [(3, 4)], "w
 WRONG_SHAPES = [
     (model, STEPS | {"space.mean": [(3, 2), (2, 3), (4,), (0, 2)]}),
     (narrow_model, {"directions": [(1, 1, 4), (2, 1, 3), (2, 2, 4), (1, 4)]}),
+    (
+        hidden_model,
+        {
+            "hidden.weights": [(2, 2, 5), (1, 1, 5), (2, 1, 4)],
+            "hidden.biases": [(2, 4), (3, 5)],
+            "hidden.output": [(2, 5, 3), (2, 6, 4), (10, 4)],
+        },
+    ),
     (parametric_model, ASM),
     (alignment_model, {f"head.{name}": shapes for name, shapes in CAMERA.items()}),
     (regression_model, {f"space.{name}": shapes for name, shapes in CAMERA.items()}),
@@ -435,7 +451,7 @@ def test_a_model_knows_square_boxes():
     assert model().placement("square") == PLACEMENT
 
 
-@pytest.mark.parametrize("made", [parametric_model, alignment_model, regression_model, narrow_model])
+@pytest.mark.parametrize("made", [parametric_model, alignment_model, regression_model, narrow_model, hidden_model])
 def test_models_of_all_methods_come_back_as_they_were(tmp_path, made):
     path = tmp_path / "a.safetensors"
     save(made(), path)

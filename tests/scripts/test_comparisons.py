@@ -71,6 +71,27 @@ def boxes_as_given(folder: Path) -> tuple[list[Path], np.ndarray]:
     return [face.image for face in faces], np.stack([jitter(bounding_square(face.landmarks), rng) for face in faces])
 
 
+def test_hard_faces_are_told_apart(folder: Path) -> None:
+    page = folder / "hard.md"
+    models = [f"{name}={folder / f'{name}.safetensors'}" for name in ("good", "poor")]
+    assert run("hard_faces", *models, "--data", f"pts:{folder / 'heads'}", "--report", str(page)) == 0
+    text = page.read_text()
+    good, poor = rows_of(text)[:2]
+    assert float(good[1]) < 0.7 * float(poor[1])
+    assert float(poor[-1]) < 0.01
+    faces = heads_of(folder)
+    errors = load("hard_faces").errors_of(
+        {"good": jaxfit.load(folder / "good.safetensors")}, jaxfit.read_dataset(f"pts:{folder / 'heads'}"), read_image
+    )["good"]
+    assert float(good[1]) == pytest.approx(errors.mean(), abs=6e-5)
+    for what in ("by yaw", "side of the face", "sharpness", "light"):
+        assert f"{what}" in text
+    quarters = text.split("side of the face")[1].split("All data sets")[0]
+    means = [float(cell.split(" / ")[0]) for cell in rows_of(quarters)[0][1:]]
+    assert np.mean(means) == pytest.approx(errors.mean(), rel=0.2)
+    assert len(faces) == 12
+
+
 def test_models_of_one_name_cannot_be_compared(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     model = str(folder / "good.safetensors")
     assert run("compare_models", model, model, "--data", f"pts:{folder / 'heads'}") == 2
