@@ -15,7 +15,9 @@ from typing import Any
 import cv2
 import nbclient
 import nbformat
-import numpy as np
+
+import jaxfit
+from jaxfit.data import write_image
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = ROOT / "docs" / "notebooks"
@@ -70,12 +72,12 @@ def parts_of(name: str, cell: Any) -> list[str]:
 
 def write_picture(name: str, encoded: str) -> str:
     """Write a picture that is not wider than ``WIDTH``; returns its file's name."""
-    picture = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    picture = jaxfit.read_image(base64.b64decode(encoded))
     height, width = picture.shape[:2]
     if width > WIDTH:
         picture = cv2.resize(picture, (WIDTH, WIDTH * height // width), interpolation=cv2.INTER_AREA)
     file = f"{name}-{len(list(PAGES.glob(f'{name}-*.jpg'))) + 1}.jpg"
-    cv2.imwrite(str(PAGES / file), picture, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    write_image(PAGES / file, picture)
     return file
 
 

@@ -36,8 +36,9 @@ class DefaultsInHelp(argparse.ArgumentDefaultsHelpFormatter):
     """Help with the defaults of options that have one, unless the help names it in its own words."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        named = action.default in (None, False, []) or "(default" in (action.help or "")
-        return action.help if named else super()._get_help_string(action)
+        default = action.default
+        plain = default is None or default is False or default == [] or "(default" in (action.help or "")
+        return action.help if plain else super()._get_help_string(action)
 
 
 def add_datasets(command: argparse.ArgumentParser) -> None:
