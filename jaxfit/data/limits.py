@@ -72,7 +72,7 @@ def counted_together() -> Iterator[None]:
 
 
 def count_picture(pixels: int) -> None:
-    """Wait, in a block of `counted_together`, until there is room for a picture of so many pixels."""
+    """Wait, in a block of `counted_together`, until there is room for a picture of this many pixels."""
     block = _block.get()
     if block is None:
         return

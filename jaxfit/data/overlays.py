@@ -27,7 +27,7 @@ _DARKEST = 0.1  # of the colour map; below, far points vanish in dark pictures
 _CORNERS = np.array([[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
 _FRONT_EDGES = ((0, 1, 2, 3, 0),)
 _OTHER_EDGES = ((4, 5, 6, 7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
-# Lines of a pixel would hide a face of so few pixels and so many points: it has points only, not much larger.
+# In so small a face, lines of a pixel would hide it: only points are drawn, not much larger.
 _SMALL, _MANY, _LEAST_RADIUS = 60, 20, 0.4
 _LEAST_LETTERS = 0.4  # height of the smallest letters that can be read, in those of OpenCV's font
 _BITS = 4  # OpenCV takes coordinates as integers; these are binary digits after the point

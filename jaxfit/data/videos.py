@@ -111,7 +111,7 @@ class Video:
         return time.monotonic() if self.live else self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
 
     def _missed(self, number: int) -> int:
-        """How many frames there should be in a file of which so many came; 0 if it is whole.
+        """How many frames there should be in a file of which fewer came; 0 if it is whole.
 
         That fewer came than the file says proves nothing: their number is mostly made of a duration and a mean rate.
         """
@@ -193,7 +193,7 @@ class _Film:
         self.written = 0
 
     def write(self, picture: Pixels, seconds: float | None = None) -> None:
-        """Take a frame, which is shown at so many seconds."""
+        """Take a frame that is shown at this time, in seconds."""
         picture = to_eight_bits(picture)
         if self._waiting is None:
             self._shape, self._first = picture.shape[:2], seconds or 0.0

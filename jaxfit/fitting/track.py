@@ -39,7 +39,7 @@ _STEP = 0.5  # sides that it moves at most, from frame to frame
 _INSIDE = 0.5  # share of the landmarks that must lie in the picture
 _SAME = 0.4  # overlap of squares from which two fits are of one face
 _FOUND_AGAIN = 2.0  # seconds for which a lost face keeps its number,
-_NEAR = 1.0  # if it comes back within so many sides
+_NEAR = 1.0  # sides of the face within which it may come back
 _CUT_SIDE = 32  # pixels of the small copy of a frame,
 _CUT = 30.0  # and their mean change, in grey levels, from which there is a cut between two frames
 _SHAPE_FRAMES = 30  # from whose mean a person's shape is known
@@ -433,7 +433,7 @@ def _square_around(fits: Fits, row: int, picture: np.ndarray) -> np.ndarray | No
 
 
 def _within_reach(square: np.ndarray, other: np.ndarray, sides: float) -> bool:
-    """Whether squares (4,) may be of one face that moved by so many sides and grew or shrank a little."""
+    """Whether squares (4,) may be of one face that moved by at most some sides and grew or shrank a little."""
     side = max(square[2], other[2])
     moved = np.linalg.norm(box_centre(square) - box_centre(other))
     return bool(moved <= sides * side and side <= _GROWTH * min(square[2], other[2]))

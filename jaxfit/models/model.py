@@ -18,7 +18,7 @@ from jaxfit.modes import own_modes
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.space import ShapeSpace3D, Start
 
-SQUARE = "square"  # the kind of box that every model knows: the bounding square of the landmarks, give or take
+SQUARE = "square"  # the kind of box that every model knows: roughly the bounding square of the landmarks
 
 
 @dataclass(frozen=True)

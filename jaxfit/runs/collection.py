@@ -184,7 +184,7 @@ def _fit_parts(
 
 @contextmanager
 def _ray(cpus: int) -> Iterator[Any]:
-    """Ray, started here for so many cores if it does not run."""
+    """Ray, started here for a number of cores if it does not run yet."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault(_CLUSTER, "0")
     import ray

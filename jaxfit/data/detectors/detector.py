@@ -152,7 +152,8 @@ class AnyRotation:
 
 
 def turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
-    """A face of a picture that was turned counter-clockwise by so many quarters, in the picture (H, W, …) itself."""
+    """A face of a picture that was turned counter-clockwise by some quarters, as it lies in the picture (H, W, …)
+    itself."""
     (x, y, width, height), (rows, columns) = face.box.tolist(), shape[:2]
     if quarters == 1:
         box = [columns - y - height, x, height, width]
