@@ -1,4 +1,8 @@
-"""The documentation site (`make docs`): these pages as they are, by Sphinx, its Markdown MyST and its theme Furo."""
+"""The documentation site (`make docs`): these pages by Sphinx, its Markdown MyST and its theme Furo. The pages of the
+reference are made here, from the code, before Sphinx reads them."""
+
+import sys
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -6,6 +10,11 @@ from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
 import jaxfit
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
+from build_reference import REFERENCE, write_reference
+
+write_reference(REFERENCE)
 
 project = "jaxfit"
 release = jaxfit.__version__

@@ -30,7 +30,7 @@ def jax_settings() -> str:
 
 
 def _is_command() -> bool:
-    """Whether this process runs the ``jaxfit`` command: nobody could catch what is raised."""
+    """Whether this process runs the ``jaxfit`` command, in which no caller could catch an error."""
     words = sys.orig_argv[1:]
     while words and words[0].startswith("-") and words[0] != "-m":  # the interpreter's own options
         words = words[1:]

@@ -203,7 +203,7 @@ def _sum(values: Any) -> jax.Array:
         return jax.block_until_ready(_summed(of_all, _mesh()).addressable_data(0))
     except (JaxRuntimeError, ValueError) as error:  # which of them depends on who waits for the result
         raise ProcessError(
-            "another process ended before the work was done; what it said tells why. Start all of them again "
+            "another process ended before the work was done; its own message says why. Start all of them again "
             f"({str(error).splitlines()[0]})"
         ) from error
 

@@ -26,4 +26,4 @@ Progress = Callable[[str, int, int], None]
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Progress that nobody is shown."""
+    """Progress that is not shown."""

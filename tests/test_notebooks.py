@@ -48,6 +48,18 @@ def test_is_stored_clean(path: Path) -> None:
             assert cell["execution_count"] is None
 
 
+@each_notebook
+def test_its_page_is_up_to_date_and_has_pictures(path: Path) -> None:
+    page = Path(__file__).resolve().parents[1] / "docs" / "notebooks" / f"{path.stem}.md"
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        for paragraph in "".join(cell["source"]).split("\n\n"):
+            assert " ".join(paragraph.split()) in text, f"run python scripts/render_notebooks.py {path.stem}"
+    pictures = re.findall(r"\]\(([\w-]+\.jpg)\)", text)
+    assert pictures
+    assert all((page.parent / picture).exists() for picture in pictures)
+
+
 def private_names(code: str) -> set[str]:
     """What is used of jaxfit that is public neither at its top level nor in one of its namespaces."""
     tree = ast.parse(code)

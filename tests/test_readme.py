@@ -1,4 +1,5 @@
-"""Every command and every line of Python in the README and the guides, run as it stands there."""
+"""Every command and every line of Python in the README and the guides, run as it stands there: blocks of ``bash`` and
+``python``. Blocks of ``py`` need other programs, or machines."""
 
 import re
 import shlex
@@ -21,10 +22,11 @@ from jaxfit.schemes.conversions import convert
 from jaxfit.schemes.known import AFLW21, IBUG68
 
 ROOT = Path(__file__).resolve().parents[1]
-GUIDES = ("index", "command-line", "training", "own-objects", "python")
-PAGES = [ROOT / "README.md", *(ROOT / "docs" / f"{name}.md" for name in GUIDES)]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", DOCS / "index.md", *sorted((DOCS / "guides").glob("*.md"))]
+GENERATED = {DOCS / "reference" / "commands.md", DOCS / "reference" / "api" / "index.md"}  # by the site's build
 # What needs an installer or would run these very tests again; the Makefile's targets are looked up instead.
-NOT_RUN = {"pip install .", "make everything"}
+NOT_RUN = {"pip install ."}
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -64,9 +66,9 @@ def folder(portrait: np.ndarray, tmp_path_factory: pytest.TempPathFactory) -> Pa
             name = folder / "faces" / part / f"face{number:03}"
             write_image(name.with_suffix(".png"), portrait[top:, left:])
             write_pts(name.with_suffix(".pts"), points - [left, top] + rng.normal(0, 1, points.shape))
-    (toml,) = blocks(ROOT / "docs" / "training.md", "toml")
+    (toml,) = blocks(DOCS / "guides" / "evaluate-and-compare.md", "toml")
     (folder / "compare.toml").write_text(toml, encoding="utf-8")
-    scheme, folds = blocks(ROOT / "docs" / "own-objects.md", "toml")
+    scheme, folds = blocks(DOCS / "guides" / "own-objects.md", "toml")
     (folder / "wing.toml").write_text(scheme, encoding="utf-8")
     (folder / "folds.toml").write_text(folds, encoding="utf-8")
     _draw_wings(folder)
@@ -116,9 +118,6 @@ def _write_aflw2000(folder: Path, picture: np.ndarray, points: np.ndarray) -> No
 
 
 def run(command: str) -> None:
-    if command == "make demo":
-        portrait = "photos/portrait.jpg"
-        command = f"jaxfit fit {portrait} --out demo"
     program, *arguments = shlex.split(command)
     assert program == "jaxfit", f"no test runs this command: {command}"
     if arguments[0] == "train" and "wings/wings.tps" in arguments and "--folds" not in arguments:
@@ -132,16 +131,17 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         if command not in NOT_RUN:
             run(command)
     for written in (
-        "demo/overlays/portrait.jpg",
-        "demo/landmarks.csv",
-        "demo/pts/portrait_1.pts",
+        "sure-fits/contact-sheet.jpg",
+        "any-fits/overlays/portrait.jpg",
         "fitted/landmarks.csv",
         "results/report.json",
         "results/faces.csv",
         "heads/heads.csv",
         "tracked/faces.csv",
         "tracked/overlay.webm",
+        "tracked-heads/faces.csv",
         "results-3d/report.json",
+        "results-all/report.json",
         "compared/report.html",
         "runs/report/report.html",
         "wings/wings.xml",
@@ -155,37 +155,63 @@ def test_commands(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_make_targets_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for command in COMMANDS:
-        if command.startswith("make "):
-            assert f"\n{command.removeprefix('make ')}:" in makefile
+    named = {
+        target
+        for page in [*PAGES, ROOT / "CONTRIBUTING.md"]
+        for target in re.findall(r"`?make ([a-z]+)(?:`|   #)", page.read_text("utf-8"))
+    }
+    assert named >= {"docs", "check", "everything"}
+    assert all(f"\n{target}:" in makefile for target in named)
     assert "make everything" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 def test_python(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    names: dict[str, Any] = {}
+    made: dict[str, dict[str, Any]] = {}
     for page in PAGES:
-        names = {}
+        made[page.stem] = {}
         for block in blocks(page, "python"):
-            exec(compile(block, page.name, "exec"), names)
-        assert "fits" in names or not blocks(page, "python")
-    assert names["fits"].landmarks.shape == (1, 68, 2)
-    assert np.isfinite(names["fits"].landmarks).all()
+            exec(compile(block, page.name, "exec"), made[page.stem])
+    for name in ("README", "index", "python"):
+        assert made[name]["fits"].landmarks.shape == (1, 68, 2)
+        assert np.isfinite(made[name]["fits"].landmarks).all()
+    names = made["python"]
+    assert names["drawn"].shape == names["image"].shape
     np.testing.assert_allclose(names["in_image"], names["fits"].landmarks, atol=1e-3)
+    np.testing.assert_allclose(names["landmarks"], names["fits"].landmarks, atol=10)
     assert np.isfinite(names["slope"]).all()
     assert np.isfinite(names["heads"].pose).all()
+    assert names["heads"].landmarks_3d.shape == (1, 68, 3)
     assert names["frame"].ids.tolist() == [1]
     assert names["face"].landmarks.shape == (1, 68, 2)
-    assert names["heads"].landmarks_3d.shape == (1, 68, 3)
+    assert made["export"]["landmarks"].shape == (1, 68, 2)
+    assert made["own-objects"]["length"].shape == (2,)
+
+
+def test_the_table_beside_others_has_figures_of_their_pages() -> None:
+    measured = "".join(
+        (DOCS / "measured" / name).read_text(encoding="utf-8") for name in ("rivals.md", "speed/speed.md")
+    )
+    table = (
+        (ROOT / "README.md")
+        .read_text(encoding="utf-8")
+        .partition("## Beside other programs")[2]
+        .partition("## Models")[0]
+    )
+    figures = [cell for row in re.findall(r"^\|.*\|$", table, re.M) for cell in row.split("|")[2:]]
+    numbers = re.findall(r"\d[\d.,]*", " ".join(figures))
+    assert len(numbers) >= 14
+    assert [number for number in numbers if number not in re.findall(r"\d[\d.,]*\d|\d", measured)] == []
 
 
 def test_links() -> None:
-    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
-        for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / target).exists(), f"{page.name}: {target}"
+    for page in (ROOT / "README.md", *DOCS.rglob("*.md")):
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8")):
+            path = (page.parent / target).resolve()
+            assert path.exists() or path in GENERATED, f"{page.name}: {target}"
 
 
 def test_documents_are_finished() -> None:
-    for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+    for path in [ROOT / "README.md", *DOCS.rglob("*.md")]:
         left = re.findall(r"^[A-Z]+[0-9]*$|\b(?:MINUTES|SIZE) M?i", path.read_text(encoding="utf-8"), re.MULTILINE)
         assert not left, f"{path.name}: {left}"

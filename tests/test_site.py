@@ -18,9 +18,17 @@ from jaxfit.experiments import read_config
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (1440, 390)
+TEXTS = {"clusters-and-collections"}  # guides whose results are tables
 OPENED = (
-    *("index", "installing", "command-line", "training", "python", "api", "method", "limits", "models"),
-    *("speed/README", "pose/wide/pose", "experiments/report/report"),
+    *("index", "installing", "method", "limits", "guides/fit-a-folder", "guides/pose", "guides/train", "guides/python"),
+    *(
+        "reference/models",
+        "reference/models/face68",
+        "reference/commands",
+        "reference/api/index",
+        "reference/api/jaxfit",
+    ),
+    *("measured/index", "measured/speed/speed", "measured/pose-tables/wide/pose", "measured/experiments/report/report"),
 )
 
 
@@ -67,8 +75,20 @@ def test_every_document_is_a_page(site: Path) -> None:
     assert documents <= {path.relative_to(site) for path in site.rglob("*.html")}
 
 
+def test_the_first_page_and_guides_show_pictures(pages: dict[Path, Page], site: Path) -> None:
+    guides = {path for path in (site / "guides").glob("*.html") if path.stem not in TEXTS}
+    for path in {site / "index.html", *guides}:
+        assert any("_images/" in link for link in pages[path].loads), path.name
+
+
+def test_tables_that_cards_include_are_there(site: Path) -> None:
+    for name, heading in {"face68": "60 to 90°", "face68-3d": "Pointing"}.items():
+        text = (site / "reference" / "models" / f"{name}.html").read_text(encoding="utf-8")
+        assert heading in text.partition("Accuracy")[2].partition("<h2>Limits")[0], name
+
+
 def test_every_configuration_can_be_read() -> None:
-    configurations = sorted((ROOT / "docs" / "experiments").glob("*.toml"))
+    configurations = sorted((ROOT / "docs" / "measured" / "experiments").glob("*.toml"))
     assert len(configurations) > 1
     for path in configurations:
         read_config(path)

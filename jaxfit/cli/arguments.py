@@ -33,10 +33,12 @@ _DEFAULT = Options()
 
 
 class DefaultsInHelp(argparse.ArgumentDefaultsHelpFormatter):
-    """Help that says the defaults of options that have one."""
+    """Help with the defaults of options that have one, unless the help names it in its own words."""
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        return action.help if action.default is None else super()._get_help_string(action)
+        default = action.default
+        plain = default is None or default is False or default == [] or "(default" in (action.help or "")
+        return action.help if plain else super()._get_help_string(action)
 
 
 def add_datasets(command: argparse.ArgumentParser) -> None:
@@ -46,9 +48,9 @@ def add_datasets(command: argparse.ArgumentParser) -> None:
         nargs="+",
         required=True,
         metavar="SPEC",
-        help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}; FORMAT+PIXELS:PATH moves the labels "
-        "right and down by so many pixels; labels of FORMAT@stored:PATH belong to the pixels as they are stored, "
-        "whatever EXIF data say",
+        help=f"datasets as FORMAT:PATH, with FORMAT one of {', '.join(FORMATS)}; FORMAT+PIXELS:PATH moves the "
+        "labels right and down by that many pixels; FORMAT@stored:PATH is for labels of the pixels as they "
+        "are stored, before EXIF data turn the picture",
     )
     add_scheme(command)
     add_max_megapixels(command)
@@ -59,8 +61,9 @@ def add_scheme(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--scheme",
         metavar="NAME",
-        help=f"what the landmarks mean: convert the labels to {', '.join(SCHEMES)}, or points<N>, N points that only "
-        "have numbers; or a scheme of your own, a TOML file or table such as '{mirror = [[1, 4]], lines = [[1, 2]]}'",
+        help=f"what the landmarks mean: converts the labels to {', '.join(SCHEMES)}, or to points<N>, N points "
+        "that are only numbered; or a scheme of your own, as a TOML file or a table such as "
+        "'{mirror = [[1, 4]], lines = [[1, 2]]}'",
     )
 
 
@@ -71,10 +74,10 @@ def add_max_megapixels(command: argparse.ArgumentParser) -> None:
         type=float,
         default=DEFAULT_MEGAPIXELS,
         metavar="N",
-        help=f"of a picture, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small files may become very large. A "
-        f"pixel of AVIF, HEIC and Netpbm's floats counts as {HEAVY:g} ({DEFAULT_MEGAPIXELS / HEAVY:g} by default), one "
-        "of JPEG 2000 with transparency as 1.33; files of AVIF, HEIC and JPEG 2000 have at most "
-        f"{MOST_SLOW_BYTES // 1_000_000} MB, whatever N is",
+        help=f"the largest picture that is read, in million pixels (default: {DEFAULT_MEGAPIXELS:g}); small "
+        f"files can hold very large pictures. A pixel of AVIF, HEIC and Netpbm's floats counts as {HEAVY:g} "
+        f"({DEFAULT_MEGAPIXELS / HEAVY:g} by default), one of JPEG 2000 with transparency as 1.33. Files of "
+        f"AVIF, HEIC and JPEG 2000 may have at most {MOST_SLOW_BYTES // 1_000_000} MB, whatever N is",
     )
 
 
@@ -103,9 +106,9 @@ def add_normaliser(command: argparse.ArgumentParser) -> None:
         "--normaliser",
         choices=NORMALISERS,
         help="what distances are divided by: outer eye corners, pupil centres, bounding square, the root of the "
-        "bounding box's area, its diagonal, centroid size, or the ends that a scheme of your own names (default: what "
-        "the scheme says, or the outer eye corners; the square where labels have none, or faces are turned by over 45 "
-        "degrees)",
+        "bounding box's area, its diagonal, centroid size, or the ends that a scheme of your own names "
+        "(default: what the scheme says, or the outer eye corners; the bounding square if labels have no "
+        "eye corners, or if faces are turned by more than 45 degrees)",
     )
 
 
@@ -114,8 +117,8 @@ def add_unshift(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--unshift",
         action="store_true",
-        help="put landmarks on what they mark, where the model knows that the labels it learned from lay beside it, "
-        "a pixel or half (docs/label_shift.md), as its fits do otherwise",
+        help="put landmarks onto what they mark: labels that some models learned from lie a pixel or half a "
+        "pixel beside it, and so do their fits (docs/measured/label-shift.md)",
     )
 
 
@@ -131,15 +134,15 @@ def add_boxes(command: argparse.ArgumentParser, otherwise: str) -> None:
     command.add_argument(
         "--boxes",
         metavar="FILE.csv",
-        help="face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces are "
-        "turned, such as a landmarks.csv; image is a path, or the end of one that only one picture has, such as its "
-        f"file name; without it, {otherwise}",
+        help="face boxes with the columns image,x,y,width,height, and rotation (degrees, clockwise) if faces "
+        "are turned, such as a landmarks.csv; image is a path, or the end of a path that only one picture "
+        f"has, such as its file name; without it, {otherwise}",
     )
     command.add_argument(
         "--box-kind",
         metavar="KIND",
-        help=f"what drew the boxes of FILE.csv: square (around the landmarks), {', '.join(box_kinds())}; by default "
-        "what its column box says, or square",
+        help=f"what drew the boxes of FILE.csv: square (around the landmarks), {', '.join(box_kinds())} "
+        "(default: its column box, or square)",
     )
 
 
@@ -150,13 +153,14 @@ def add_detector(command: argparse.ArgumentParser, about: str) -> None:
         "--smallest",
         type=float,
         metavar="PIXELS",
-        help="width of the smallest faces to look for; by default 24 (dlib: 40), in large pictures 1/60 of the root of "
-        "their area; smaller faces take longer",
+        help="width of the smallest faces to look for, in pixels (default: 24, for dlib 40, and in large "
+        "pictures 1/60 of the root of their area); smaller faces take longer",
     )
     command.add_argument(
         "--score",
         type=float,
-        help="from which yunet's find is a face, above 0 and up to 1; lower finds more, also what is none",
+        help="score, up to 1, from which a find of yunet counts as a face; with a lower one it finds more "
+        "faces, and more false ones",
     )
     command.add_argument(
         "--any-rotation",
@@ -189,7 +193,7 @@ def add_starts(command: argparse.ArgumentParser, about: str) -> None:
         nargs=2,
         default=(usual.low, usual.high),
         metavar=("LOW", "HIGH"),
-        help="degrees, clockwise as seen, that the rotations of several starts cover evenly",
+        help="range, in degrees clockwise as seen, over which the rotations of several starts are spread evenly",
     )
 
 
@@ -216,7 +220,7 @@ def add_heads(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--heads",
         action="store_true",
-        help="also find the heads with a 2D model: a 3D head model is aligned to its landmarks, which stay the same",
+        help="also find heads with a 2D model, by aligning a 3D head model to its landmarks, which do not move",
     )
 
 
@@ -227,21 +231,21 @@ def add_camera(command: argparse.ArgumentParser) -> None:
         type=float,
         nargs=4,
         metavar=("FX", "FY", "CX", "CY"),
-        help="focal lengths and middle of the camera, in pixels: also say how heads are turned before it, and where "
-        "they are, in millimetres; finds heads with 2D models, too",
+        help="focal lengths and centre of the camera, in pixels: also find where heads are, in millimetres, and "
+        "how they are rotated before the camera; finds heads with 2D models, too",
     )
     command.add_argument(
         "--field-of-view",
         type=float,
         metavar="DEGREES",
-        help="instead of --camera: the angle that the width of the picture takes in",
+        help="instead of --camera: the angle that the width of the picture covers",
     )
     command.add_argument(
         "--pupil-distance",
         type=float,
         metavar="MM",
-        help=f"how far apart people's pupils are, by which heads are taken to be as large as they are; "
-        f"{PUPIL_DISTANCE:g}, the mean of adults, unless given",
+        help=f"distance of people's pupils, which sets the size of the heads (default: {PUPIL_DISTANCE:g}, the "
+        "mean of adults)",
     )
 
 
@@ -275,7 +279,7 @@ def untrained_starts(name: str, trained: Starts, starts: Starts) -> list[str]:
     """A warning where several starts are asked for of a model that was ``trained`` for one."""
     if starts.count == 1 or trained.count > 1:
         return []
-    return [f"{name} was trained for a single start: its fits from several, turned ones may all be wrong"]
+    return [f"{name} was trained for a single start: its fits from several turned starts may all be wrong"]
 
 
 def add_head_model(command: argparse.ArgumentParser) -> None:
@@ -302,26 +306,26 @@ _GREEDY: dict[str, dict[str, Any]] = {
         "type": float,
         "nargs": "+",
         "metavar": "SHARE",
-        "help": "side of the descriptor window as a share of the face's side, one number a step; the thesis's constant "
-        "is 32 / FACE for every step",
+        "help": "side of the descriptor window as a share of the face's side, one number for each step; the "
+        "thesis has 32 / FACE for every step",
     },
-    "augmentations": {"type": int, "help": "starts drawn a face"},
+    "augmentations": {"type": int, "help": "starts that are drawn for each face"},
     "variance": {"type": float, "help": "share kept by the features' PCA"},
     "ridge": {"type": float, "help": "ridge strength; 0 is least squares"},
     "rank": {
         "type": int,
-        "help": "directions of its parameters that each step is taken along; fewer make a model smaller and faster; "
-        "unless given, all",
+        "help": "number of directions that each step is taken along; fewer make a model smaller and faster "
+        "(default: all)",
     },
     "spread": {
         "type": float,
-        "help": "factor on the spread of the starts; 1 unless given, 1.4 for schemes of your own",
+        "help": "factor on the spread of the starts (default: 1, or 1.4 for schemes of your own)",
     },
-    "seed": {"type": seed, "help": "same seed, machine and cores: same model"},
+    "seed": {"type": seed, "help": "seed; the same seed, machine and number of cores give the same model"},
     "copies": {
         "type": int,
-        "help": "of each face with its picture turned, scaled, sheared, blurred or partly hidden; 0 unless given, but "
-        "for schemes of your own as many as make 400 faces, 9 at most",
+        "help": "copies of each face with its picture turned, scaled, sheared, blurred or partly hidden "
+        "(default: 0, or for schemes of your own as many as make 400 faces, at most 9)",
     },
 }
 
@@ -342,10 +346,11 @@ def add_training(command: argparse.ArgumentParser) -> None:
         "--sigmas",
         type=float,
         default=_DEFAULT.sigmas,
-        help="radius of the ellipsoid that shape coefficients stay in; unless given it holds 99.7 %% of normal faces",
+        help="radius of the ellipsoid that shape coefficients stay in (default: one that holds 99.7 %% of "
+        "normal faces)",
     )
     add_head_model(command)
-    add_starts(command, "how many starts fitting shall use; with several, starts are turned in training, too")
+    add_starts(command, "how many starts fits will use; with several, starts are turned in training, too")
     command.add_argument("--no-mirror", action="store_true", help="do not train on mirrored pictures too")
     command.add_argument(
         "--no-detectors", action="store_true", help="do not learn how the boxes of detectors lie; saves minutes"
@@ -353,30 +358,34 @@ def add_training(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--descriptor",
         choices=list(DESCRIPTORS),
-        help="what is seen at a landmark: sift, or dense, which is much faster; sift unless given, dense for schemes "
-        "of your own",
+        help="what describes the picture around a landmark: sift, or dense, which is much faster (default: "
+        "sift, or dense for schemes of your own)",
     )
     command.add_argument(
         "--zoom",
         type=int,
         choices=ZOOMS,
-        help="of dense: how many times finer crops are than usual, so that later steps look at more detail, taking "
-        "longer; 1 unless given, 2 for schemes of your own",
+        help="how many times finer crops are than usual, with dense: later steps look at more detail, and take "
+        "longer (default: 1, or 2 for schemes of your own)",
     )
     command.add_argument(
         "--orientation",
         choices=ORIENTATIONS,
-        help="of windows; unless said otherwise they turn with the face, but are upright for sdm from a single start; "
-        "in upright ones turned faces are not found",
+        help="orientation of windows (default: face, but upright for sdm from a single start); models with "
+        "upright windows do not find turned faces",
     )
-    command.add_argument("--normalisation", choices=NORMALISATIONS, help="of descriptors; vector unless said otherwise")
-    command.add_argument("--crop", type=int, help="side of the crops, in pixels; unless given it suits the descriptor")
-    command.add_argument("--face", type=float, help="side of the face in them, in pixels; unless given, likewise")
+    command.add_argument(
+        "--normalisation", choices=NORMALISATIONS, help="normalisation of descriptors (default: vector)"
+    )
+    command.add_argument("--crop", type=int, help="side of the crops, in pixels (default: as suits the descriptor)")
+    command.add_argument(
+        "--face", type=float, help="side of the face in the crops, in pixels (default: as suits the descriptor)"
+    )
     command.add_argument(
         "--shift",
         type=float,
         metavar="PIXELS",
-        help="by which labels lie right of and below what they mark, and the model's fits then too: 0 unless given",
+        help="how far labels lie right of and below what they mark; fits of the model do the same (default: 0)",
     )
 
 
@@ -388,8 +397,8 @@ def add_confidence(command: argparse.ArgumentParser) -> None:
         nargs="?",
         const=3,
         metavar="FOLDS",
-        help="also learn how likely a fit is good (fits.confidence), from fits by models that are trained on parts of "
-        "the faces: 3 by default, which takes four times as long",
+        help="also learn how likely a fit is to be good (fits.confidence), from fits by models that are trained "
+        "on parts of the faces, in 3 folds by default; takes four times as long",
     )
 
 

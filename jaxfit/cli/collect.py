@@ -26,9 +26,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "collect",
         help="find landmarks in a collection of pictures, with Ray",
-        description="Find landmarks in a collection of pictures with workers of Ray Data, which jaxfit[ray] installs. "
-        "Writes Parquet files of some pictures each, and a manifest of all. A run that was stopped goes on when "
-        "started again; of a collection that has grown, what is new is fitted.",
+        description="Find landmarks in a collection of pictures with workers of Ray Data (jaxfit[ray]). Writes "
+        "Parquet files for groups of pictures, and a manifest of all pictures. A run that was "
+        "stopped goes on when it is started again; when pictures were added, only these are fitted.",
     )
     add_pictures(command)
     add_model(command)
@@ -38,9 +38,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_refine(command)
     add_unshift(command)
     command.add_argument("--out", required=True, metavar="DIR", help="where the results go")
-    command.add_argument("--workers", type=int, help="processes; as many as there are cores for unless given")
-    command.add_argument("--cores", type=int, default=1, help="that each of them keeps busy (default: 1)")
-    command.add_argument("--part", type=int, default=256, metavar="N", help="pictures a Parquet file (default: 256)")
+    command.add_argument(
+        "--workers", type=int, help="number of worker processes (default: as many as there are cores for)"
+    )
+    command.add_argument("--cores", type=int, default=1, help="cores that each worker uses (default: 1)")
+    command.add_argument(
+        "--part", type=int, default=256, metavar="N", help="pictures in each Parquet file (default: 256)"
+    )
     command.set_defaults(run=run)
 
 

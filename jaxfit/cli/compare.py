@@ -41,9 +41,10 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "compare",
         help="compare models, and other programs' fits, on labelled faces",
         description="Compare models, exported models and files of fits on the same labelled faces: errors with "
-        "bootstrap intervals by subject, paired tests with Holm's correction, effect sizes, errors of pose, curves and "
-        "the worst faces, as a page and tables. Fits in files are matched with the labels by their boxes; faces that a "
-        "contestant has no fit of count as its failures. docs/comparing.md says how other programs' fits are brought.",
+        "bootstrap intervals by subject, paired tests with Holm's correction, effect sizes, errors of pose, curves "
+        "and the worst faces, as a page and tables. Fits in files are matched with the labels by their boxes. A "
+        "face that a contestant has no fit of is its failure. docs/guides/evaluate-and-compare.md explains how to get "
+        "the fits of other programs.",
     )
     command.add_argument(
         "contestants",
@@ -56,7 +57,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     add_datasets(command)
     add_boxes(command, "models start from the true landmarks' bounding square, moved by 6 %% and scaled by 8 %%")
     add_detector(command, "models start from the boxes in which this detector finds the faces")
-    command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
+    command.add_argument("--seed", type=seed, default=0, help="seed of the random starts (default: 0)")
     add_normaliser(command)
     command.add_argument(
         "--protocol",
@@ -65,7 +66,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         + "; ".join(f"{name}, relative to {NORMALISERS[each.normaliser].title}" for name, each in PROTOCOLS.items()),
     )
     add_starts(command, "starts a face of models; several, for models trained for it, find turned faces")
-    command.add_argument("--no-pictures", action="store_true", help="show landmarks without pictures in the page")
+    command.add_argument("--no-pictures", action="store_true", help="show landmarks without the pictures")
     command.add_argument("--out", required=True, metavar="DIR", help="where report.html, tables and figures go")
     command.set_defaults(run=run)
 

@@ -16,8 +16,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "convert",
         help="write labels in another format",
-        description="Write labels, or fitted landmarks, in the format of another program, and say what that cannot "
-        "hold. Pictures are called by their paths from the folder of OUT.",
+        description="Write labels, or fitted landmarks, in the format of another program, and say what that "
+        "format cannot hold. Pictures are named by their paths from the folder of OUT.",
     )
     command.add_argument(
         "source",
@@ -28,8 +28,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "out",
         metavar="OUT",
-        help=f"the file to write, likewise, with FORMAT one of {', '.join(ANNOTATION_FORMATS)}; for pts, a folder: "
-        "that of the pictures, if the files shall be read again",
+        help=f"the file to write, in the same form, with FORMAT one of {', '.join(ANNOTATION_FORMATS)}; for pts "
+        "a folder: that of the pictures, so that the files can be read again",
     )
     add_scheme(command)
     add_max_megapixels(command)

@@ -55,10 +55,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "evaluate",
         help="measure a model on labelled faces",
-        description="Measure a model on labelled faces: normalised mean Euclidean distance (NMED), AUC and failure "
-        "rate at 0.08; for 3D models the NMED in 3D and errors of the head's pose as well. Faces that are not found or "
-        "cannot be read count as failures. Labels of another landmark scheme than the model's are converted to it "
-        "where that is possible; or the model's fits to theirs; or both to what --scheme says.",
+        description="Measure a model on labelled faces: normalised mean Euclidean distance (NMED), AUC and "
+        "failure rate at 0.08; for 3D models also the NMED in 3D and errors of the head's pose. "
+        "Faces that are not found or cannot be read count as failures. If labels have another "
+        "landmark scheme than the model, they are converted to the model's, or the model's fits to "
+        "theirs, or both to what --scheme says.",
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     add_datasets(command)
@@ -68,7 +69,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "no landmarks, from the dataset's own boxes",
     )
     add_detector(command, "start from the boxes in which this detector finds the faces")
-    command.add_argument("--seed", type=seed, default=0, help="of those starting squares (default: 0)")
+    command.add_argument("--seed", type=seed, default=0, help="seed of the random starts (default: 0)")
     add_normaliser(command)
     add_starts(command, "starts a face; several, for models trained for it, find turned faces")
     add_heads(command)
@@ -149,8 +150,9 @@ def _print_tables(results: Mapping[str, Evaluation], solid: bool) -> None:
     """Print the errors of each dataset, and of poses where they are known; ``solid`` models have errors in 3D."""
     say(
         "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
-        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not annotated. Learned from: "
-        "faces in pictures that the model was trained on, which are no test of it; unknown: the model does not say."
+        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not labelled. Learned "
+        "from: faces in pictures that the model was trained on, on which errors are no test; unknown: the model "
+        "does not say."
     )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or solid}
     say(text_table([_row(spec, result) for spec, result in results.items()], columns))

@@ -28,31 +28,33 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "experiments",
         help="compare methods on datasets by cross-validation, and report",
-        description="Cross-validate methods over grids of augmentations, steps and initialisations, time them and test "
-        "their pose, as a configuration in TOML says; then report what was measured.",
+        description="Cross-validate methods over grids of augmentations, steps and initialisations, time them "
+        "and test their pose, as a TOML file says; then report the results.",
     )
     actions = command.add_subparsers(required=True, metavar="ACTION")
     running = actions.add_parser(
         "run",
-        help="do what a configuration says that is not done yet",
-        description="Do what a configuration says that is not done yet. A killed run goes on where it was; several "
-        "processes may run at once with the same --out and share the work.",
+        help="run the tasks of a configuration that are not done yet",
+        description="Run the tasks of a configuration that are not done yet. A run that was killed goes on "
+        "where it was; several processes may run at once with the same --out and share the work.",
     )
     running.add_argument("config", metavar="CONFIG.toml", help="what to run; paths in it are relative to this folder")
     running.add_argument("--out", required=True, metavar="DIR", help="where results are kept")
-    running.add_argument("--dry-run", action="store_true", help="only say what there is to do, and how long it takes")
+    running.add_argument(
+        "--dry-run", action="store_true", help="only say what there is to do, and how long it will take"
+    )
     running.set_defaults(run=run_command)
     reporting = actions.add_parser(
         "report",
         help="tables, figures and a page from results",
         description="Write report.html, tables as CSV and LaTeX and figures as SVG and PNG from what has been run.",
     )
-    reporting.add_argument("folder", metavar="DIR", help="the --out of jaxfit experiments run")
-    reporting.add_argument("--out", metavar="DIR", help="where the report goes; unless given to DIR/report")
+    reporting.add_argument("folder", metavar="DIR", help="the folder that was the --out of jaxfit experiments run")
+    reporting.add_argument("--out", metavar="DIR", help="where the report goes (default: DIR/report)")
     reporting.add_argument(
         "--no-pictures",
         action="store_true",
-        help="draw landmarks without the pictures, for reports of pictures that may not be passed on",
+        help="draw landmarks without the pictures, for reports whose pictures may not be passed on",
     )
     reporting.set_defaults(run=report_command)
 

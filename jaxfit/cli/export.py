@@ -16,8 +16,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "export",
         help="write a model as programs that need JAX alone",
-        description="Write a model as one file of programs, from crops to landmarks, for use without jaxfit. Needs "
-        "flatbuffers.",
+        description="Write a model as one file of programs, from crops to landmarks, for use without jaxfit. "
+        "Needs jaxfit[export].",
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     command.add_argument("--out", required=True, metavar=f"FILE{SUFFIX}", help="the file to write")

@@ -26,15 +26,15 @@ _HELP = {
     "dropped": "share of the landmarks that each step does not see",
     "spread": "factor on the spread of the starts",
     "units": "hidden units that each step gets, so that it is more than a linear map",
-    "guessed": "what landmarks count that --head-model guessed where labels are missing, relative to labelled ones",
-    "balance": "how evenly faces are drawn over their yaws, which --head-model tells: 0 as they come, 1 evenly",
+    "guessed": "weight, relative to labelled landmarks, of missing ones that --head-model guesses",
+    "balance": "how evenly faces are drawn over their yaws, which --head-model estimates: 0 as they come, 1 evenly",
     "rotation": "standard deviation, in radians, of how far pictures are turned",
     "log_scale": "standard deviation of the logarithm of how much pictures are scaled",
     "shear": "standard deviation of how much pictures are sheared",
     "blur": "share of the pictures that are blurred",
     "noise": "grey values of noise in pictures",
-    "hidden": "share of the pictures of which a part is hidden",
-    "covered": "share of the pictures of which a part of another covers a part",
+    "hidden": "share of the pictures in which a part is hidden",
+    "covered": "share of the pictures that a part of another picture covers",
     "dark": "share of the pictures that are darkened",
     "coarse": "share of the pictures that get larger pixels",
     "compressed": "share of the pictures that are compressed as JPEG does it",
@@ -46,8 +46,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "finetune",
         help="tune all steps of a trained model together",
-        description="Tune all steps of a trained model together, by stochastic gradients of the error that they leave. "
-        "Killed, it goes on where it was when it is run again.",
+        description="Tune all steps of a trained model together, by stochastic gradients of the error that they "
+        "leave. A run that was killed goes on where it was when the command is given again.",
         formatter_class=DefaultsInHelp,
     )
     command.add_argument("model", help="a model file, or a bundled model's name")
@@ -60,7 +60,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         type=float,
         default=0.1,
         metavar="SHARE",
-        help="of the people, kept aside to choose the best epoch by; 0 takes the last one",
+        help="share of the people who are kept aside to choose the best epoch; 0 takes the last epoch",
     )
     command.add_argument("--no-mirror", action="store_true", help="do not learn from mirrored pictures too")
     for kind in (Tuning, Disturbance):
@@ -74,7 +74,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
                     metavar="N",
                     help=_HELP[option.name],
                 )
-    command.add_argument("--seed", type=seed, default=Tuning.seed, help="of all that is random")
+    command.add_argument("--seed", type=seed, default=Tuning.seed, help="seed of all random numbers")
     add_confidence(command)
     command.set_defaults(run=run)
 
@@ -131,5 +131,5 @@ def run(options: argparse.Namespace) -> int:
             else f"people kept aside: no epoch was better than {before:.4f} of the face's side: the model is unchanged"
         )
     if had_confidence and not options.confidence:
-        say("its confidence was that of the model before, and is gone: --confidence learns it anew")
+        say("its confidence belonged to the model before fine-tuning and was removed: --confidence learns it anew")
     return 0

@@ -31,8 +31,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "fit",
         help="find landmarks in pictures",
-        description="Find landmarks in pictures, with 3D models also the 3D shape and pose of the heads. Writes tables "
-        "and other formats, overlay pictures, and problems.csv. A run that was stopped goes on when started again.",
+        description="Find landmarks in pictures; with 3D models also the 3D shape and pose of heads. Writes "
+        "tables and other formats, pictures with the faces drawn in, and problems.csv. A run that "
+        "was stopped goes on when it is started again.",
     )
     add_pictures(command)
     add_model(command)
@@ -55,19 +56,19 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--no-overlays", action="store_true", help="do not write pictures with the faces drawn over them"
     )
     command.add_argument(
-        "--contact-sheet", action="store_true", help="write one picture of many faces, the doubtful first"
+        "--contact-sheet", action="store_true", help="write one picture with many faces, the doubtful ones first"
     )
     command.add_argument(
         "--min-confidence",
         type=float,
         metavar="C",
-        help="write faces whose confidence, from 0 to 1, is below C to doubtful.csv instead of the tables; by default "
-        "all faces stand in the tables, and the column ok says which are rather good than not",
+        help="write faces with a confidence below C (0 to 1) to doubtful.csv instead of the tables; by default "
+        "all faces are in the tables, and the column ok is 1 for those that are more likely good than not",
     )
     command.add_argument(
         "--overwrite",
         action="store_true",
-        help="begin anew where an unfinished run is in the way, or replace results of another command or version",
+        help="begin anew if there is an unfinished run, and replace results of another command or version",
     )
     command.set_defaults(run=run)
 
@@ -112,8 +113,8 @@ def run(options: argparse.Namespace) -> int:
     say(f"pictures: {report.pictures}, faces fitted: {report.faces}{doubtful}, model: {options.model}")
     if options.min_confidence is not None:
         say(
-            f"in the tables: {report.faces - report.set_apart} faces; {report.set_apart}, whose confidence is below "
-            f"{options.min_confidence:g}, in doubtful.csv instead"
+            f"in the tables: {report.faces - report.set_apart} faces; in doubtful.csv: {report.set_apart} with a "
+            f"confidence below {options.min_confidence:g}"
         )
     if report.replaced:
         say(report.replaced)

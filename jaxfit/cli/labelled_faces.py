@@ -16,27 +16,31 @@ def add_faces(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--fill",
         action="store_true",
-        help="give incomplete faces of --data their missing landmarks by a 3D head model (--head-model), instead of "
-        "leaving them out",
+        help="fill in missing landmarks of --data with a 3D head model (--head-model), instead of leaving these "
+        "faces out",
     )
     command.add_argument(
         "--lift",
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="more datasets, of other or incomplete landmarks: a 3D head model (--head-model) gives them those of "
-        "--data",
+        help="more datasets, with other or incomplete landmarks: a 3D head model (--head-model) finds the "
+        "landmarks of --data in them",
     )
     command.add_argument(
-        "--lift-yaw", type=float, default=0.0, metavar="DEGREES", help="of those, only faces turned so far or farther"
+        "--lift-yaw",
+        type=float,
+        default=0.0,
+        metavar="DEGREES",
+        help="from --lift, take only faces that are turned by this much or more",
     )
     command.add_argument(
         "--without",
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="datasets to be tested on: faces in their pictures, or in others of the same file names or pixels, are "
-        "left out of all others",
+        help="datasets to test on later: faces in their pictures, or in pictures of the same file names or "
+        "pixels, are left out of all others",
     )
 
 
@@ -47,7 +51,8 @@ def add_shared(command: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="SPEC",
-        help="more datasets, of other landmarks: those that both have teach (see --head-model)",
+        help="more datasets, with other landmarks, of which those that both schemes have are learned (see "
+        "--head-model)",
     )
 
 

@@ -14,7 +14,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "models",
         help="list the models of the package",
-        description="List the models of the package; of those that are named, say all there is to say.",
+        description="List the models of the package, or describe those that are named.",
     )
     command.add_argument("names", nargs="*", metavar="NAME", help="bundled models")
     command.set_defaults(run=run)

@@ -23,8 +23,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "serve",
         help="open a page that fits pictures and webcams",
-        description="Serve a page to the browsers of this machine, until Ctrl-C: it fits the pictures that are dropped "
-        "on it, or a webcam's, and draws landmarks and heads. Pictures stay in memory; nothing is written or sent on.",
+        description="Serve a page to the browsers of this machine, until Ctrl-C. It fits pictures that are "
+        "dropped on it, or those of a webcam, and draws landmarks and heads. Pictures stay in "
+        "memory; nothing is written or sent anywhere.",
     )
     command.add_argument(
         "--model",
@@ -36,11 +37,11 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         "--detector",
         nargs="+",
         metavar="SPEC",
-        help=f"what finds the faces, to choose from: {', '.join(detector_specs())} (default: all that are installed)",
+        help=f"detectors to choose from: {', '.join(detector_specs())} (default: all that are installed)",
     )
     add_unshift(command)
     add_heads(command)
-    command.add_argument("--port", type=int, default=0, help="to listen on; 0, the default, takes any free one")
+    command.add_argument("--port", type=int, default=0, help="port to listen on (default: 0, any free one)")
     command.add_argument("--no-browser", action="store_true", help="only say where the page is")
     command.set_defaults(run=run)
 
@@ -57,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     if options.unshift:
         still = [name for name, model in loaded.items() if not model.cascade.frame.shift]
         if still:
-            warn([f"--unshift: no shift of labels is known of {', '.join(still)}: their fits stay where they are"])
+            warn([f"--unshift changes nothing for {', '.join(still)}: no shift of their labels is known"])
         loaded = {name: model.unshifted() for name, model in loaded.items()}
     service = Service(loaded, _by_name(detectors, detector_named, _detector_name))
     with Server(service, options.port) as server:

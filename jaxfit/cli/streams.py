@@ -1,4 +1,4 @@
-"""Standard output and error that nobody may be reading, or that are closed: no reason to stop the work."""
+"""Standard output and error that may be closed, or that no one reads: neither stops the work."""
 
 import io
 import os

@@ -17,13 +17,13 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "suggest",
         help="say which pictures to label next",
-        description="Rank pictures without labels by what a model would learn from them: first those that it is unsure "
-        "of and that show other shapes. They are written with the model's fits as labels, to be corrected in the "
-        "program that you label with.",
+        description="Rank pictures without labels by how much a model would learn from them: first those of "
+        "which it is unsure and that show other shapes. They are written with the model's fits as "
+        "labels, for you to correct in the program that you label with.",
     )
     command.add_argument("model", metavar="MODEL", help="a bundled model's name or a model file")
     add_pictures(command, "pictures without labels")
-    command.add_argument("--count", type=int, default=20, help="of pictures (default: 20)")
+    command.add_argument("--count", type=int, default=20, help="how many pictures to list (default: 20)")
     command.add_argument(
         "--out",
         required=True,
@@ -51,6 +51,6 @@ def run(options: argparse.Namespace) -> int:
     written, problems = write_labels(found.dataset, format, path)
     report_problems(problems)
     for face, unsure in zip(found.dataset.faces, found.unsure, strict=True):
-        say(f"{face.image}: its fits lie {100 * unsure:.2g} % of its size apart")
+        say(f"{face.image}: its fits differ by {100 * unsure:.2g} % of its size")
     say(f"{path}: {format}, {written} objects to correct, in the order in which to label them")
     return 0

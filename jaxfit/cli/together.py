@@ -16,17 +16,15 @@ def add_processes(command: argparse.ArgumentParser, run: _Run) -> None:
     """``--coordinator HOST:PORT``, ``--processes N``, ``--process I`` and ``--distributed``, and a ``run`` that heeds
     them."""
     group = command.add_argument_group(
-        "several processes", "Each is started with the same command; see docs/clusters.md."
+        "several processes", "start each with the same command; see docs/guides/clusters-and-collections.md"
     )
-    group.add_argument(
-        "--coordinator", metavar="HOST:PORT", help="where process 0 runs, and a free port at which all find each other"
-    )
-    group.add_argument("--processes", type=int, metavar="N", help="how many there are")
-    group.add_argument("--process", type=int, metavar="I", help="which one this is, counted from 0")
+    group.add_argument("--coordinator", metavar="HOST:PORT", help="where process 0 runs, and a free port there")
+    group.add_argument("--processes", type=int, metavar="N", help="number of processes")
+    group.add_argument("--process", type=int, metavar="I", help="number of this process, counted from 0")
     group.add_argument(
         "--distributed",
         action="store_true",
-        help="SLURM or Open MPI, which started the processes, says all three",
+        help="take all three from SLURM or Open MPI, which started the processes",
     )
     command.set_defaults(run=partial(_run_together, run))
 

@@ -44,8 +44,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command = commands.add_parser(
         "track",
         help="follow faces through a video",
-        description="Follow faces through a video: landmarks, frame by frame, of people who keep their numbers. Writes "
-        "faces.csv, a row a face a frame, and with --overlay the video with the faces drawn over it.",
+        description="Follow faces through a video: landmarks in each frame, and a number for each person. "
+        "Writes faces.csv, with a row for each face in each frame, and with --overlay the video "
+        "with the faces drawn in.",
     )
     command.add_argument(
         "video", metavar="VIDEO_OR_CAMERA", help="a video file, or the number of a camera (stop it with Ctrl-C)"
@@ -57,7 +58,7 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
     command.add_argument(
         "--redetect-every", type=int, default=10, metavar="N", help="look for new faces every N frames (default: 10)"
     )
-    command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves")
+    command.add_argument("--smooth", action="store_true", help="smooth the landmarks, less where the face moves fast")
     add_unshift(command)
     add_heads(command)
     add_camera(command)

@@ -63,16 +63,17 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         nargs="?",
         const=3,
         metavar="FOLDS",
-        help="choose ridge, variance, spread and windows, beginning with those given, by the errors that cascades "
-        "leave on people that they did not learn from, in cross-validation: in 3 folds by default; takes several "
-        "times as long",
+        help="choose ridge, variance, spread and windows, beginning with those given, by the errors of cascades "
+        "on people that they did not learn from, in cross-validation with 3 folds by default; takes "
+        "several times as long",
     )
     command.add_argument(
         "--folds",
         type=int,
         metavar="FOLDS",
-        help="in the end, also train without a part of the subjects, FOLDS times, and say what errors that leaves on "
-        f"them; 0: not; unless given, {_FOLDS} for schemes of your own with up to {_FEW} faces",
+        help="at the end, also train FOLDS times without a part of the subjects, and report the errors on that "
+        f"part; 0 leaves this out (default: {_FOLDS} for schemes of your own with up to {_FEW} faces, else "
+        "0)",
     )
     add_confidence(command)
     add_training(command)
@@ -125,11 +126,11 @@ def run(options: argparse.Namespace) -> int:
     for kind, result in held_out.items():
         say(_on_others(kind, result, folds))
     if trained.faces < _TOO_FEW:
-        warn([f"only {trained.faces} faces to learn from: label {_TOO_FEW} or more, better 50, for lower errors"])
+        warn([f"only {trained.faces} faces to learn from: label at least {_TOO_FEW}, better 50, for lower errors"])
     known = model.known_placements
     say(f"boxes it knows: {', '.join(known)}")
     if not options.no_detectors and len(known) == 1:
-        say("the detectors found too few of the faces to learn how their boxes lie: fit it with --boxes")
+        say("the detectors found too few of the faces to learn how their boxes lie: use --boxes to fit")
     return 0
 
 

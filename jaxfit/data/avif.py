@@ -11,7 +11,7 @@ _MOST_ITEMS, _MOST_EXTENTS, _MOST_BYTES = 4096, 64, 1 << 16  # of the list of pl
 
 
 class _Numbers:
-    """Whole numbers from bytes, one after the other, of so many bits each."""
+    """Whole numbers from bytes, read one after another, each of a given number of bits."""
 
     def __init__(self, data: bytes):
         self._bits, self._left = int.from_bytes(data), 8 * len(data)
@@ -20,7 +20,7 @@ class _Numbers:
         """The next one.
 
         Raises:
-            ValueError: there are not so many bits left.
+            ValueError: too few bits are left.
         """
         self._left -= bits
         if self._left < 0:

@@ -18,7 +18,7 @@ from jaxfit.errors import InputError
 _COLUMNS = ("image", "x", "y", "width", "height")
 _ROTATION, _KIND = "rotation", "box"
 _MOST_BYTES = 1 << 30  # of a file: some ten million rows
-UNKNOWN_BOX = np.full(4, np.nan)  # of a face that nobody drew one around
+UNKNOWN_BOX = np.full(4, np.nan)  # of a face without a box
 _SMALLEST, _LARGEST = 1e-3, 1e6  # sides of a box, in pixels; others are mistakes
 
 

@@ -41,11 +41,11 @@ class PinholeCamera:
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """Cameras of which only the angle is known that the width of their pictures takes in: with square pixels, and the
-    axis in the middle of the picture.
+    """A camera of which only the field of view is known. Pixels are taken to be square, and the axis to meet the
+    picture in its middle.
 
     Attributes:
-        degrees: the angle; webcams have about 60, phones about 70.
+        degrees: the angle that the width of the picture covers; about 60 for webcams, 70 for phones.
 
     Raises:
         InputError: no angle between 0 and 180 degrees.

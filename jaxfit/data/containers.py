@@ -11,7 +11,7 @@ _TAIL = 256  # bytes at the end that are zeros where a download was not finished
 
 
 def is_cut(path: str | Path) -> bool:
-    """Whether a Matroska, WebM, MP4, QuickTime or AVI file lacks its end; False for files that do not tell."""
+    """Whether a Matroska, WebM, MP4, QuickTime or AVI file lacks its end; False for files that do not say."""
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL))

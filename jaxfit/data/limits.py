@@ -22,7 +22,7 @@ _megapixels: ContextVar[float] = ContextVar("megapixels", default=DEFAULT_MEGAPI
 
 @contextmanager
 def at_most_megapixels(megapixels: float) -> Iterator[None]:
-    """Read pictures of up to so many million pixels; larger ones are problems. Without this, it is 180.
+    """Read pictures of up to ``megapixels`` million pixels in this block, instead of 180; larger ones are problems.
 
     Pictures that are fitted at the same time have at most as many together. Memory and time grow with it;
     ``scripts/bombs.py`` measures how. Pixels of AVIF, HEIC, floats, and JPEG 2000 with transparency count more.
@@ -72,7 +72,7 @@ def counted_together() -> Iterator[None]:
 
 
 def count_picture(pixels: int) -> None:
-    """Wait, in a block of `counted_together`, until there is room for a picture of so many pixels."""
+    """Wait, in a block of `counted_together`, until there is room for a picture of this many pixels."""
     block = _block.get()
     if block is None:
         return

@@ -1,6 +1,6 @@
 """Names of pictures: how tables spell them, what their results are called, and which picture a name in a table means.
 
-Paths are the only names that tell pictures of several folders apart. A name of a file may be almost any bytes, a table
+Only paths distinguish pictures of several folders. A name of a file may be almost any bytes, a table
 may not: see `plain`.
 """
 

@@ -32,7 +32,7 @@ def orientation_of(data: bytes, head: JpegHead | None = None) -> int:
     """How a picture in a file is turned to be seen, from 1 to 8: a JPEG, PNG or WebP picture as its EXIF data say, TIFF
     by a tag, AVIF by properties of its own, whatever its EXIF data say; 1 for all else.
 
-    HEIC pictures are turned by whoever decodes them: nobody sees them as they are stored.
+    HEIC pictures are turned by their decoder: no program sees them as they are stored.
 
     Args:
         data: the bytes of the file.

@@ -80,7 +80,7 @@ def replace_results(
     """Remove what the run before this one wrote to a folder and this one did not, and write this one's manifest;
     returns a sentence about that run if its settings were others, else an empty one.
 
-    Files of nobody's manifest stay.
+    Files that no manifest lists stay.
 
     Args:
         folder: of the results.
@@ -207,7 +207,7 @@ def discard(folder: str | Path) -> None:
 
 def sweep(folder: str | Path) -> None:
     """Remove what writing left in a folder, and in the folders in it, when a process was killed: only the one process
-    that may write there knows that nobody is at work on it."""
+    that may write there knows that no other process is at work on it."""
     with os.scandir(folder) as entries:
         found = [entry for entry in entries if not entry.is_symlink()]
     for entry in found:

@@ -29,7 +29,7 @@ _DARKEST = 0.1  # of the colour map; below, far points vanish in dark pictures
 _CORNERS = np.array([[x, y, z] for z in (0, 1) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
 _FRONT_EDGES = ((0, 1, 2, 3, 0),)
 _OTHER_EDGES = ((4, 5, 6, 7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
-# Lines of a pixel would hide a face of so few pixels and so many points: it has points only, not much larger.
+# In so small a face, lines of a pixel would hide it: only points are drawn, not much larger.
 _SMALL, _MANY, _LEAST_RADIUS = 60, 20, 0.4
 _LEAST_LETTERS = 0.4  # height of the smallest letters that can be read, in those of OpenCV's font
 _SEEN = 0.5  # probability from which a point can rather be seen than not
@@ -84,7 +84,7 @@ def draw_head(
 ) -> np.ndarray:
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a 3D fit drawn over it.
 
-    Landmarks are the brighter and warmer the nearer they are. A cross at their mean shows the head's axes: x (red) and
+    Nearer landmarks are brighter and warmer. A cross at their mean shows the head's axes: x (red) and
     y (green) point to image right and down in a frontal face, z (blue) where the face looks. A cuboid, its front face
     drawn brighter, encloses the head. What is NaN, and what depends on it, is left out.
 

@@ -64,8 +64,9 @@ _QUICK = 8_000_000  # pixels, times scans, and slow bytes that take under two se
 def read_image(path: str | Path | bytes, exif: bool = True) -> np.ndarray:
     """The picture in a file as RGB, uint8 (H, W, 3); transparency is dropped.
 
-    Of 16 bits the upper 8 are kept; where no value uses more than 14, those of the largest value, so that pictures of
-    10, 12 or 14 bits are not dark. Of animated pictures, and of files with several, it is the first. HEIC pictures
+    Of 16 bits the upper 8 are kept; if no value uses more than 14 bits, the upper 8 of the largest value, so that
+    pictures of 10, 12 or 14 bits are not dark. Of animations, and of files with several pictures, the first picture is
+    read. HEIC pictures
     need the extra ``jaxfit[heif]``.
 
     Args:
@@ -154,7 +155,7 @@ def _decoded(source: str | Path, data: bytes, flags: int, exif: bool) -> np.ndar
         rgb = _from_heic(source, data)
         return to_grey(rgb) if flags == cv2.IMREAD_GRAYSCALE else rgb
     decode = partial(_by_opencv, source, data, long=width * height * scans + slow > _QUICK)
-    # Without a size it may be whatever it is: nobody knows how much would come of it.
+    # A file whose header gives no size could hold any number of pixels.
     picture = None if size is None else decode(flags | cv2.IMREAD_IGNORE_ORIENTATION)
     if picture is not None and head is None and is_deep(data) and picture.max() <= 1 << _OF_CAMERAS - 8:
         picture = None  # not held while it is read again
@@ -387,8 +388,9 @@ def _advice(image: np.ndarray) -> str:
 def find_images(paths: Iterable[str | Path], recursive: bool = False) -> list[Path]:
     """The files among ``paths`` and the pictures in the folders among them, folders sorted by name.
 
-    In folders, pictures are known by their names or by how they begin. What cannot be read is in the list too, folders
-    within folders included: `read_image` says what is wrong with it. What is named twice comes once. Hidden files and
+    In folders, pictures are recognised by their names or their first bytes. Files and inner folders that cannot be read
+    are in the list too: `read_image` says what is wrong with them. A path that is given twice comes once. Hidden files
+    and
     folders in folders are left out. A path that does not exist may be a pattern, such as ``photos/*.jpg`` or
     ``photos/**/*.jpg``; folders that it looks into and that cannot be read are in the list.
 

@@ -38,7 +38,7 @@ def in_order(work: Iterable[Callable[[], T]], threads: int) -> Generator[T, None
         while waiting:
             yield waiting.popleft().result()
     finally:
-        # Whoever presses Ctrl-C does not wait for a large picture to be decoded.
+        # Ctrl-C does not wait for a large picture to be decoded.
         pool.shutdown(wait=not _interrupted(), cancel_futures=True)
 
 
@@ -81,7 +81,7 @@ def cores() -> int:
 
 @contextmanager
 def at_most_cores(count: int) -> Iterator[None]:
-    """Fit with threads for so many cores only, where other processes have the others."""
+    """Fit with threads for this many cores only, because other processes use the others."""
     token = _most_cores.set(count)
     try:
         yield

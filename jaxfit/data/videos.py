@@ -47,9 +47,9 @@ class Video:
         name: the file's path, or ``camera N``.
         live: whether it is a camera, which does not end by itself.
         frame_rate: frames a second, as the file or camera says, else 30.
-        count: how many frames there are, as the file's duration and mean rate have it: files of a variable rate have
-            others; 0 if nobody knows.
-        problem: once the frames have come, that the file was cut short, or that frames of it cannot be decoded; None if
+        count: how many frames there are, from the file's duration and mean rate, which is only an estimate for files of
+            a variable rate; 0 if unknown.
+        problem: known once all frames have come: that the file was cut short, or that frames cannot be decoded; None if
             it is whole.
 
     Args:
@@ -111,7 +111,7 @@ class Video:
         return time.monotonic() if self.live else self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
 
     def _missed(self, number: int) -> int:
-        """How many frames there should be in a file of which so many came; 0 if it is whole.
+        """How many frames there should be in a file of which fewer came; 0 if it is whole.
 
         That fewer came than the file says proves nothing: their number is mostly made of a duration and a mean rate.
         """
@@ -133,7 +133,7 @@ class Video:
         self.close()
 
     def close(self) -> None:
-        """Give the file or camera back."""
+        """Close the file, or release the camera."""
         self._capture.release()
 
 
@@ -193,7 +193,7 @@ class _Film:
         self.written = 0
 
     def write(self, picture: Pixels, seconds: float | None = None) -> None:
-        """Take a frame, which is shown at so many seconds."""
+        """Take a frame that is shown at this time, in seconds."""
         picture = to_eight_bits(picture)
         if self._waiting is None:
             self._shape, self._first = picture.shape[:2], seconds or 0.0

@@ -1,4 +1,4 @@
-"""How well probabilities tell what happens: ranking (AUROC) and calibration (expected calibration error)."""
+"""How well probabilities predict what happens: ranking (AUROC) and calibration (expected calibration error)."""
 
 import math
 from dataclasses import dataclass

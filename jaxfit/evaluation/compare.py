@@ -157,7 +157,7 @@ class Comparison:
 
     @property
     def subjects(self) -> np.ndarray:
-        """(N,) who is seen on each face."""
+        """(N,) the subject of each face."""
         return np.array([face.subject for face in self.dataset.faces])
 
     @property
@@ -215,7 +215,7 @@ class ComparisonPlan:
         labels = _relabelled(dataset, scheme)
         normaliser = self.run.normaliser or usual_normaliser(scheme, labels.faces)
         how: dict[str, Any] = {"scheme": scheme, "normaliser": normaliser}
-        # Looked for once, whoever then fits.
+        # Faces are looked for once, for all models.
         detected = None
         if self.starts is not None and self.starts.detector is not None:
             detected = self.starts.of(dataset.faces, "", progress)
@@ -275,7 +275,7 @@ def plan_comparison(
         run: how models are run; ``refine`` must be off, and ``scheme`` is what errors are measured in.
 
     Raises:
-        InputError: nobody to compare, no common scheme, names in a file that may mean several pictures, or as
+        InputError: no contestants, no common scheme, names in a file that may mean several pictures, or as
             `plan_evaluation`.
         DatasetError: a dataset cannot be read.
     """

@@ -43,8 +43,8 @@ class Evaluation:
         errors: (N,) NMED (Eq. 16); ``inf`` where there is no fit, NaN where the truth does not allow to measure.
         errors_3d: (N,) NMED in 3D, against labels with the depths of the model's own 3D shapes (thesis 4.2); NaN if
             the errors are not measured on the model's own landmarks; None for 2D models.
-        seconds_per_face: reading, cropping and fitting, compiled, until the last process has its share; NaN if nothing
-            was fitted.
+        seconds_per_face: time of reading, cropping and fitting, after compilation, until the last process is done; NaN
+            if nothing was fitted.
         learned: (N,) bool, whether the model learned from each face's picture; None: it does not say.
     """
 
@@ -161,7 +161,7 @@ def evaluate_steps(
 
 
 def usual_normaliser(scheme: Scheme, faces: Sequence[FaceRecord]) -> str:
-    """What errors of labelled faces are divided by, if nobody says otherwise.
+    """What errors of labelled faces are divided by, unless a normaliser is given.
 
     The outer eye corners, if the scheme has them; the bounding square if it has not, or if some of the faces are turned
     by over 45°, where the eye corners come together.

@@ -90,7 +90,7 @@ def read_fits(spec: str) -> FoundFaces:
     """Fits that some program wrote: CSV (a row a face), JSON lines, COCO's keypoints, or a folder of ``.pts``.
 
     Tables have the columns that ``landmarks.csv`` and ``heads.csv`` have, or some of them: ``image``; landmarks, a box
-    or a pose. Points that are only numbered are those of the scheme with so many points, if there is one.
+    or a pose. Points that are only numbered belong to the known scheme with as many points, if there is one.
 
     Args:
         spec: as in `fits_format`.

@@ -315,7 +315,7 @@ def plot_pose_surface(
 
 
 def new_figure(width: float, height: float) -> "matplotlib.figure.Figure":
-    """An empty figure of so many inches that pyplot knows nothing of: it need not be closed.
+    """An empty figure of a size in inches, which pyplot does not know and which need not be closed.
 
     Raises:
         InputError: matplotlib is missing.

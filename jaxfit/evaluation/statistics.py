@@ -11,7 +11,7 @@ import scipy
 from jaxfit.errors import InputError
 from jaxfit.evaluation.curves import LIMIT, areas, auc, failure_rate, failures, measurable
 
-# Who is seen on each face; None if each is a person of its own.
+# The subject of each face; None if each face is a subject of its own.
 Subjects = Sequence[str] | np.ndarray | None
 
 # Draws of the bootstrap that are held in memory at once, with what is drawn some 25 MB.

@@ -48,7 +48,7 @@ def comparison_row(errors: np.ndarray, baseline: np.ndarray, subjects: Subjects 
     """The row of ``COMPARISON_COLUMNS`` for errors (N,) of a method and a baseline's (N,) on the same faces.
 
     Faces that either could not measure (NaN) are left out; a failure (``inf``) is the worst of errors. The rank-sum
-    test takes faces for independent; with ``subjects``, the signed-rank test pairs people.
+    test assumes that faces are independent; with ``subjects``, the signed-rank test pairs people.
 
     Raises:
         InputError: the errors are not vectors of one length, or there is not one subject a face.

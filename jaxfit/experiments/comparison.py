@@ -58,16 +58,16 @@ BY_YAW = {
 
 _ERRORS_NOTE = (
     "The mean is over fitted faces; faces without a fit count in the median, the AUC and the failures. Mean of shared: "
-    "over the faces that all contestants fitted. ± 95 %: half the interval of the mean, by subject. Unmeasured: what "
-    "errors are relative to is not annotated, whoever fits. Learned from: faces in pictures that a contestant learned "
-    "from, marked †: its figures are no test of it; unknown: it does not say."
+    "over the faces that all contestants fitted. ± 95 %: half the interval of the mean, by subject. Unmeasured: the "
+    "labels lack what errors are relative to. Learned from: faces in pictures that a contestant learned from, marked "
+    "†, on which errors are no test; unknown: it does not say."
 )
 _INTERVALS_NOTE = "95 % bootstrap intervals, of whole subjects. AUC and failures are those up to and above 0.08."
 _TESTS_NOTE = (
-    "Of the second from the first, on the same faces. The rank-sum test takes all errors for independent; the "
-    "signed-rank test pairs the means of each subject. Holm's values are adjusted for all tests of the table. Effect "
-    "size: the matched-pairs rank-biserial correlation, from -1, the second errs less on everybody, to 1. Better: who "
-    f"errs less, if Holm's value is below {_SURE:g}."
+    "The second compared with the first, on the same faces. The rank-sum test assumes that all errors are independent; "
+    "the signed-rank test pairs the means of each subject. Holm's values are adjusted for all tests of the table. "
+    "Effect size: the matched-pairs rank-biserial correlation, from -1, if the second has the lower error on "
+    f"everybody, to 1. Better: who has the lower errors, if Holm's value is below {_SURE:g}."
 )
 _POSE_NOTE = (
     "Degrees; the MAE is over faces with a pose, the median counts the others as the worst. MAE from, to: 95 % "

@@ -195,7 +195,7 @@ def read_config(path: str | Path) -> Config:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except RecursionError:
-        raise InputError(f"{path}: its tables lie too deep in one another") from None
+        raise InputError(f"{path}: its tables are nested too deeply") from None
 
 
 def config_from(values: Mapping[str, Any]) -> Config:

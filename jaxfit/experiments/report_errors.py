@@ -135,9 +135,9 @@ def comparison(results: ExperimentResults, group: Group) -> Iterator[ReportTable
     if tests:
         add_holm(tests)
         note = (
-            "Of the second method from the first. The rank-sum test takes all errors for independent; the signed-rank "
-            "test uses that both methods were tested on the same faces, and takes several pictures of a person "
-            "together. Holm's values are adjusted for all tests of the table."
+            "The second method compared with the first. The rank-sum test assumes that all errors are independent; the "
+            "signed-rank test uses that both methods were tested on the same faces, and takes several pictures of a "
+            "person together. Holm's values are adjusted for all tests of the table."
         )
         columns = {"dataset": "", "methods": "", **DIFFERENCES}
         title = f"Differences between methods ({group.name})"

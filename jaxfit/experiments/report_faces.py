@@ -19,7 +19,7 @@ from jaxfit.image.frame import Frame
 SIDE = 144  # pixels of a thumbnail
 _FRAME = Frame(SIDE, SIDE / 1.7)  # a margin of 0.35 around the labels, in sides of their square
 _QUALITY = 75
-_IN_2D = "Of 3D alignment the 2D fit is drawn that the head is aligned to; its errors, in 3D, are those of the head."
+_IN_2D = "For 3D alignment the 2D fit is drawn to which the head is aligned; its errors, in 3D, are those of the head."
 
 
 class Thumbnails:

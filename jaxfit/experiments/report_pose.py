@@ -56,9 +56,9 @@ def _tests(pose: PoseResults) -> Iterator[ReportTable]:
     if tests:
         add_holm(tests)
         note = (
-            "Of the second method from the first. The rank-sum test takes pictures for independent, which those of one "
-            "person are not; the signed-rank test pairs the means of each person. Holm's values are adjusted for all "
-            "tests of the table."
+            "The second method compared with the first. The rank-sum test assumes that pictures are independent, which "
+            "those of one person are not; the signed-rank test pairs the means of each person. Holm's values are "
+            "adjusted for all tests of the table."
         )
         title = f"{pose.title}: differences between methods"
         columns = {"methods": "", "angle": "", **DIFFERENCES}

@@ -126,7 +126,8 @@ class GridTask:
         return (learned + tested) * experiment.config.steps * faces.scheme.count
 
     def train_few(self, experiment: Experiment, count: int) -> None:
-        """Train as this does, on so many of the faces and from one start each: what that takes is compiling."""
+        """Train as this task does, on some of the faces and from one start each, which takes only the time of
+        compiling."""
         faces = experiment.faces[self.dataset]
         few = faces.chosen(faces.learned(self.fold)[:count])
         _train(experiment, faces.scheme, few, self.methods, 1, silent)

@@ -27,7 +27,7 @@ def crop_faces(
     rotations: ArrayLike | None = None,
     read: Read | None = None,
 ) -> tuple[Crops, tuple[Problem, ...]]:
-    """Cut the crops that the model's cascade works on.
+    """Cut out the faces as crops, which the model's cascade works on.
 
     Args:
         model: whose crops.
@@ -39,7 +39,7 @@ def crop_faces(
             problem.
 
     Returns:
-        The crops; and for each face that cannot be cut, whose crop is black, a problem.
+        The crops, and a problem for each face that cannot be cut; its crop is black.
 
     Raises:
         InputError: ``boxes`` is not (N, 4), ``rotations`` is not (N,), or ``kind`` is unknown.

@@ -115,7 +115,7 @@ def export_model(model: Model, path: str | Path, starts: Starts = Starts()) -> N
     """Write a model as programs, to ``path`` (ending in ``.safetensors``), atomically, for use without this package.
 
     The same model gives the same bytes with the same JAX. Newer releases of JAX read the file for some months only:
-    keep the model, too. docs/export.md says what stands in the file.
+    keep the model, too. docs/reference/exported-files.md says what is in the file.
 
     Args:
         model: what to export.

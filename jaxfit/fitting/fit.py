@@ -36,11 +36,11 @@ def fit(
     read: Read | None = None,
     progress: Progress = silent,
 ) -> Fits:
-    """Find the landmarks of faces, and their 3D shapes and poses if the model knows of them.
+    """Find the landmarks of faces, and with 3D models their 3D shapes and poses.
 
-    Without boxes, faces are looked for, and all that are found in a picture are fitted. With boxes, N of them for N
-    pictures, there is a fit for each box. A picture or box that cannot be used, or a picture without a face, does not
-    stop the others: ``problems`` says what was wrong with it.
+    Without boxes, all faces that a detector finds are fitted. With N boxes for N pictures, there is a fit for each box.
+    A picture or box that cannot be used, or a picture without a face, does not stop the others: ``problems`` says what
+    was wrong.
 
     Several faces are computed in threads, which take JAX's default device from the caller, but nothing else that
     context managers of JAX set.
@@ -52,17 +52,17 @@ def fit(
             grey, (H, W, 3) RGB or (H, W, 4) RGBA, or upright PIL images; for boxes of several faces in one picture
             give it several times, one after the other.
         boxes: (N, 4) x, y, width, height of the faces, in pixels; None finds them.
-        kind: what drew the boxes: ``"square"``, the default, are squares around the landmarks, give or take; the others
-            that a model knows stand in ``model.known_placements``. One for all, or N of them.
+        kind: what drew the boxes: ``"square"``, the default, means squares around the landmarks;
+            ``model.known_placements`` has all kinds that the model knows. One for all, or N of them.
         rotations: (N,) how far the faces in the boxes are turned in the pictures, in degrees, clockwise as seen: they
-            are fitted upright. None: not at all.
+            are cut out upright. None: all are upright.
         detector: what finds the faces if there are no boxes: as in ``jaxfit.detect_faces``, and by default
-            ``"yunet"``; or ``"whole"``, for models that know no boxes of yunet's but those of whole pictures.
+            ``"yunet"``, or ``"whole"`` for models of other objects.
         search: how faces are looked for if there are no boxes: the smallest face, the detector's score, any rotation.
-        starts: how many starts each face has; several are worth their time where faces may be turned in the picture and
+        starts: how many starts each face has; several are worth their time if faces may be turned in the picture and
             the model was trained for it.
-        passes: how often the cascade is run, each time from where the pass before found the face: more than once makes
-            up for rough boxes. By default once from given boxes, and as suits the detector from found ones.
+        passes: how often the cascade is run, each time from where the pass before found the face: a second pass makes
+            up for rough boxes. By default once from given boxes, and as often as suits the detector from found ones.
         read: makes an array of a file, or of its bytes, in threads; by default, pictures are turned upright as their
             EXIF data say.
         progress: called with the stage's name, what is done and what there is to do.

@@ -20,12 +20,12 @@ def fuse(fits: Sequence[Fits], way: str = "odds") -> np.ndarray:
     """One set of landmarks for each face, from several fits of it.
 
     Ways: ``"centroid"``, the fit nearest to all others (thesis 3.2.3, Eq. 12); ``"median"`` and ``"mean"`` of each
-    coordinate; and by what the model says of its fits, ``"confidence"`` and ``"odds"``, the means weighted by c and by
-    c / (1 - c), and ``"surest"``, the fit with the highest; ``"precision"``, the mean of each landmark weighted by the
-    inverses of its covariances. docs/fusion.md compares them.
+    coordinate; by the confidence c of each fit, ``"confidence"`` and ``"odds"``, the means weighted by c and by c /
+    (1 - c), and ``"surest"``, the fit with the highest c; and ``"precision"``, the mean of each landmark weighted by
+    the inverses of its covariances. docs/measured/fusion.md compares them.
 
     Args:
-        fits: of the same N faces in the same order, as `fit` gives them; faces that one of them did not fit are fused
+        fits: of the same N faces in the same order, as `fit` gives them; a face that one of them did not fit is fused
             from the others.
         way: how.
 

@@ -80,6 +80,6 @@ class OneEuro:
 
 
 def _share(cutoff: np.ndarray | float, elapsed: float) -> np.ndarray | float:
-    """The weight of a measurement that comes so many seconds after the last, for a cutoff in hertz."""
+    """The weight of a measurement that comes some seconds after the last, for a cutoff in hertz."""
     turned = 2 * np.pi * cutoff * elapsed
     return turned / (turned + 1)

@@ -53,7 +53,8 @@ def require_fitting(fitting: Any) -> None:
 
 
 def usual_detector(model: Model) -> str:
-    """What finds the objects of a model if nobody says otherwise: the default detector of faces; of models that do not
+    """What finds the objects of a model unless a detector is named: the default detector of faces; of models that do
+    not
     know its boxes but those of whole pictures, nothing: the picture is the object."""
     known = model.known_placements
     no_face = not {*DETECTORS[DEFAULT_DETECTOR].kinds} & known.keys()
@@ -62,7 +63,7 @@ def usual_detector(model: Model) -> str:
 
 @dataclass(frozen=True)
 class Fitting:
-    """How faces are found and fitted, whatever the model: what folder runs, workers and commands are given.
+    """How faces are found and fitted, with any model: the settings of folder runs, workers and commands.
 
     Attributes:
         detector: what finds the faces of pictures without boxes: its name, as in ``jaxfit.detect_faces``, or a detector
@@ -94,7 +95,7 @@ class Fitting:
         return 2 if rough else 1
 
     def pipeline(self, model: Model, read: Read | None = None) -> Pipeline:
-        """How pictures are fitted whose faces are looked for.
+        """The pipeline for pictures in which a detector finds the faces.
 
         Raises:
             InputError: there is no such detector, the model does not know its boxes, or there are no passes.
@@ -103,7 +104,7 @@ class Fitting:
         return Pipeline(model, finder, self.starts, self.passes_from(finder.rough), read)
 
     def pipeline_in_boxes(self, model: Model, rough: bool = False, read: Read | None = None) -> Pipeline:
-        """How pictures are fitted that come with boxes, which are ``rough`` or not.
+        """The pipeline for pictures that come with boxes, which are ``rough`` or not.
 
         Raises:
             InputError: there are settings of how faces are found, or no passes.
@@ -112,10 +113,10 @@ class Fitting:
         return Pipeline(model, None, self.starts, self.passes_from(rough), read)
 
     def require_given_boxes(self) -> None:
-        """Check that nothing says how faces are found, where boxes are given.
+        """Check that no setting says how faces are found, because boxes are given.
 
         Raises:
-            InputError: something does.
+            InputError: one does.
         """
         if self.detector is not None:
             raise InputError("expected boxes or a detector that finds them; got both")

@@ -31,8 +31,8 @@ class Placing:
 
     Attributes:
         camera: of all pictures.
-        pupil_distance: of the people, in millimetres. A picture does not say how large a head is: distances are as good
-            as this one, which is within 6 % for two of three adults of whom nothing is known.
+        pupil_distance: of the people, in millimetres. A picture does not say how large a head is: positions are as
+            exact as this distance. The default is right to within 6 % for two of three adults.
 
     Raises:
         InputError: the distance is not positive.
@@ -46,7 +46,7 @@ class Placing:
             raise InputError(f"expected a distance of the pupils above 0 mm; got {self.pupil_distance:g}")
 
     def unit(self, model: Model) -> float:
-        """How many millimetres a unit of a model's heads is long.
+        """The length in millimetres of a unit of a model's heads.
 
         Raises:
             InputError: the model finds no heads, or its landmarks have no pupils.
@@ -67,7 +67,7 @@ class Placing:
 
 @computing
 def place_heads(model: Model, fits: Fits, placing: Placing, shape: ArrayLike | None = None) -> Fits:
-    """Fits with where the heads are before a camera: ``position`` and ``rotation_vector``. All else stays the same.
+    """Find where heads are before a camera: the same fits with ``position`` and ``rotation_vector``.
 
     Each point of the 3D shape model is seen at its own depth, unlike in ``pose``; shape and place are adjusted together
     in a few Gauss-Newton steps.

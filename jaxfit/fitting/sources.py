@@ -126,5 +126,5 @@ def _cut(model: Model, picture: np.ndarray, box: np.ndarray, kind: str, degrees:
 
 
 def _is_unknown(box: np.ndarray) -> bool:
-    """Whether nobody drew a box (4,); plain numbers, as arrays of four take long."""
+    """Whether a box (4,) is missing; plain numbers, because arrays of four take long."""
     return all(map(math.isnan, box.tolist()))

@@ -206,7 +206,7 @@ class _Group:
         self.waiting += len(picture)
 
     def take(self, count: int, last: bool = False) -> _Batch:
-        """The next batch, of so many faces; the last has the pictures behind them, too."""
+        """The next batch of faces; the last batch has the pictures behind them, too."""
         batch = _Batch(self, [], [], last)
         while self._faces and (len(batch.faces) < count or last):
             face = self._faces.popleft()

@@ -39,7 +39,7 @@ _STEP = 0.5  # sides that it moves at most, from frame to frame
 _INSIDE = 0.5  # share of the landmarks that must lie in the picture
 _SAME = 0.4  # overlap of squares from which two fits are of one face
 _FOUND_AGAIN = 2.0  # seconds for which a lost face keeps its number,
-_NEAR = 1.0  # if it comes back within so many sides
+_NEAR = 1.0  # sides of the face within which it may come back
 _CUT_SIDE = 32  # pixels of the small copy of a frame,
 _CUT = 30.0  # and their mean change, in grey levels, from which there is a cut between two frames
 _SHAPE_FRAMES = 30  # from whose mean a person's shape is known
@@ -80,10 +80,10 @@ def track(
     frame_rate: float = DEFAULT_FRAME_RATE,
     placing: Placing | None = None,
 ) -> Iterator[TrackedFrame]:
-    """Find the faces of a video's frames, one after the other, and keep track of who is who.
+    """Follow faces through a video, frame by frame, and keep track of who is who.
 
-    A frame that cannot be used has no faces and a ``problem``, and does not stop the others. Of a file that was cut
-    short what is there is tracked; then comes a warning.
+    A frame that cannot be used has no faces and a ``problem``, and does not stop the others. If a file was cut short,
+    the part that is there is tracked, and then a warning comes.
 
     Args:
         model: from ``jaxfit.load``.
@@ -184,10 +184,11 @@ class _Track:
 class Tracker:
     """Several people through a video, frame by frame.
 
-    The faces of a frame are fitted together, from where they were in the frame before. The detector looks for more when
-    nobody is in view, when somebody was lost, and every few frames. A face is lost when its fit diverges, jumps, leaves
-    the picture or is no longer sure; one that comes back to its place within two seconds has its number again. After a
-    cut, everybody is somebody else.
+    The faces of a frame are fitted together, from where they were in the frame before. The detector looks for new faces
+    when nobody is in view, when somebody was lost, and every few frames. A face is lost when its fit diverges, jumps,
+    leaves the picture or gets a low confidence; one that comes back to its place within two seconds gets its number
+    back. After a
+    cut, everybody gets a new number.
 
     Args:
         model: from ``jaxfit.load``.
@@ -235,7 +236,7 @@ class Tracker:
 
     @property
     def people(self) -> int:
-        """How many people there were until now: the ids are 1, 2, … ``people``."""
+        """How many people there have been so far: the ids are 1, 2, … ``people``."""
         return self._people
 
     def without_faces(self, number: int, seconds: float, picture: Pixels) -> TrackedFrame:
@@ -432,7 +433,7 @@ def _square_around(fits: Fits, row: int, picture: np.ndarray) -> np.ndarray | No
 
 
 def _within_reach(square: np.ndarray, other: np.ndarray, sides: float) -> bool:
-    """Whether squares (4,) may be of one face that moved by so many sides and grew or shrank a little."""
+    """Whether squares (4,) may be of one face that moved by at most some sides and grew or shrank a little."""
     side = max(square[2], other[2])
     moved = np.linalg.norm(box_centre(square) - box_centre(other))
     return bool(moved <= sides * side and side <= _GROWTH * min(square[2], other[2]))

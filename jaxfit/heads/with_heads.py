@@ -34,7 +34,7 @@ def with_heads(model: Model, head_model: str | Path = DEFAULT_HEAD_MODEL) -> Mod
         head_model: a bundled head model's name, or a file of one.
 
     Raises:
-        InputError: the model is one of a 3D method, or the head model has no such landmarks.
+        InputError: the model is of a 3D method, or the head model lacks its landmarks.
         ModelError: no such head model.
     """
     if model.space_3d is not None:

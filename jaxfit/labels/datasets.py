@@ -94,10 +94,11 @@ def parse_spec(spec: str) -> Spec:
 def read_dataset(spec: str) -> Dataset:
     """The dataset that ``spec``, ``FORMAT:PATH``, names.
 
-    ``FORMAT+PIXELS:PATH`` moves the labels right and down by so many pixels when they are read, ``FORMAT-PIXELS:PATH``
-    left and up, so that datasets whose labels count pixels differently can be used together. Labels belong to pictures
-    as they are seen, which EXIF data may turn; those of ``FORMAT@stored:PATH`` belong to the pixels as they are stored,
-    and are turned with their pictures. A problem names pictures that this makes a difference to.
+    ``FORMAT+PIXELS:PATH`` moves the labels right and down by that many pixels when they are read,
+    ``FORMAT-PIXELS:PATH``
+    left and up, so that datasets whose labels count pixels differently can be used together. Labels belong to upright
+    pictures, which EXIF data may have turned; those of ``FORMAT@stored:PATH`` belong to the pixels as they are stored,
+    and are turned with their pictures. A problem names the pictures for which this matters.
 
     Raises:
         InputError: no path, or an unknown format.

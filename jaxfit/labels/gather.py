@@ -56,7 +56,7 @@ def gather_faces(
             that are of no known scheme are taken for these.
         fill: give incomplete faces their missing landmarks by the 3D head model (`fill_labels`).
         lift: datasets of other or incomplete landmarks, which the head model gives those of ``data`` (`lift_labels`).
-        lift_yaw: of those, only faces turned by so many degrees or more.
+        lift_yaw: of these datasets, only faces that are turned by at least this many degrees.
         share: datasets of other landmarks, of which those that both have are taken (`share_labels`).
         without: datasets to be tested on: faces in their pictures, or in others of the same file names
             or pixels, are left out.

@@ -163,7 +163,7 @@ def _explained(
     for good, why in (
         (enough, f"fewer than {_FEWEST} labelled points, or all on a line"),
         (likely, "their points are not where those of a face can be"),
-        (agree, f"their points tell a pose more than {_DISAGREE:.0f} degrees from the labelled one"),
+        (agree, f"their points show a pose more than {_DISAGREE:.0f} degrees from the labelled one"),
         (turned, f"turned by less than {least_yaw:g} degrees"),
     ):
         if dropped := int((kept & ~good).sum()):

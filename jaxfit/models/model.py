@@ -19,7 +19,7 @@ from jaxfit.modes import own_modes
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.space import ShapeSpace3D, Start
 
-SQUARE = "square"  # the kind of box that every model knows: the bounding square of the landmarks, give or take
+SQUARE = "square"  # the kind of box that every model knows: roughly the bounding square of the landmarks
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Model:
         training: how it was made: method, options, numbers of faces; plain JSON values.
         aligned: for 3D alignment, the 3D shape space that is aligned to the landmarks which the cascade finds; None for
             other methods.
-        confidence: how likely its fits are good; None: it was not learned.
+        confidence: how likely its fits are to be good; None: it was not learned.
         uncertainty: how far each landmark may be off, and whether it can be seen; None: it was not learned.
         learned: (N,) uint64, sorted: digests of the pictures that it learned from, of their grey pixels, so that they
             are known under other names, too; None: it does not say, as models of earlier versions.
@@ -75,8 +75,8 @@ class Model:
             return np.asarray(mean - mean.mean(0))
 
     def unshifted(self) -> "Model":
-        """The model whose fits lie on what they mark, even where labels lay beside it by ``cascade.frame.shift`` pixels
-        and fits, to be comparable with them, lie there, too."""
+        """The same model with fits that lie on what they mark, even if its labels lay ``cascade.frame.shift`` pixels
+        beside it."""
         return replace(self, cascade=replace(self.cascade, frame=replace(self.cascade.frame, shift=0.0)))
 
     @property

@@ -56,7 +56,7 @@ class Placement:
 
 @cache
 def placements_of(scheme: str) -> dict[str, Placement]:
-    """How faces with landmarks of a scheme lie in the boxes of detectors, by the kind of box; empty if nobody knows."""
+    """How faces with landmarks of a scheme lie in the boxes of detectors, by the kind of box; empty if unknown."""
     known = json.loads((resources.files("jaxfit.models") / "placements.json").read_text("utf-8"))
     return {kind: read_placement(values) for kind, values in known.get(scheme, {}).items()}
 
@@ -85,8 +85,8 @@ def measure_placement(
         landmarks: (N, L, 2) true landmarks in the pixels of the same pictures.
         mean: (L, 2) the mean face, its centroid at the origin.
         face: the mean face's size in its own pixels.
-        rotations: (N,) how far the faces are turned, in degrees, clockwise as seen, as whoever drew the boxes says;
-            None: nobody says.
+        rotations: (N,) how far the faces are turned, in degrees, clockwise as seen, as the source of the boxes says;
+            None: unknown.
 
     Raises:
         InputError: fewer than two faces.

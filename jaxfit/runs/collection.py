@@ -46,11 +46,12 @@ def fit_collection(
 ) -> dict[str, int]:
     """Find and fit the faces in a collection of pictures with workers of Ray Data; needs ``jaxfit[ray]``.
 
-    ``out/parts`` has a Parquet file for so many pictures each, with the columns of ``jaxfit.BatchFitter``, and
-    ``out/manifest.parquet`` a row a picture: ``image``, its ``outcome``, the number of ``faces`` that were fitted, and
-    the ``part`` that it is in. Each picture is in one part: parts are named after their pictures and are there whole or
-    not at all, so that what a worker was at when it died is begun again by another, and a run that was stopped, started
-    again, fits only pictures that are in no part, or have changed since. One run at a time writes to ``out``.
+    ``out/parts`` gets Parquet files for ``part`` pictures each, with the columns of ``jaxfit.runs.BatchFitter``, and
+    ``out/manifest.parquet`` a row for each picture: ``image``, its ``outcome``, the number of ``faces`` that were
+    fitted, and
+    the ``part`` that it is in. Each picture is in one part. A part is named after its pictures and written as a whole
+    or not at all. When a worker dies, another does its part again. A run that was stopped and is started again fits
+    only pictures that are in no part, or have changed since. One run at a time writes to ``out``.
 
     Ray is started on this machine, where it listens on the loopback device and reports no usage, and ended afterwards;
     unless it runs already, as after ``ray.init("auto")`` on a cluster, whose machines then have to see the pictures,
@@ -60,9 +61,9 @@ def fit_collection(
         pictures: their files.
         out: the folder of the results, made if needed.
         fitter: how to fit; ``BatchFitter()`` by default.
-        workers: how many processes; as many as there are cores for by default.
-        gpus: that a worker takes, or which share of one.
-        part: pictures a part: what a killed worker loses at most.
+        workers: how many processes; by default as many as there are cores for.
+        gpus: how many GPUs, or which share of one, each worker takes.
+        part: pictures in each part, which is what a killed worker loses at most.
         progress: called with the stage's name, pictures done and pictures in all.
 
     Returns:
@@ -183,7 +184,7 @@ def _fit_parts(
 
 @contextmanager
 def _ray(cpus: int) -> Iterator[Any]:
-    """Ray, started here for so many cores if it does not run."""
+    """Ray, started here for a number of cores if it does not run yet."""
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     os.environ.setdefault(_CLUSTER, "0")
     import ray

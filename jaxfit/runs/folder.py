@@ -79,11 +79,11 @@ class FolderRun:
         placing: the camera that heads are placed before, as ``jaxfit.place_heads`` does; 2D models then find heads.
         formats: what to write, among ``jaxfit.data.writers.WRITERS``.
         overlays: write pictures with the faces drawn over them.
-        contact_sheet: write one picture of many faces, the doubtful first.
+        contact_sheet: write one picture with many faces, the doubtful ones first.
         min_confidence: write faces whose confidence is lower to ``doubtful.csv`` instead of the other tables; None
-            writes all to the tables, whose column ``ok`` says which are rather good than not.
-        overwrite: begin anew where an unfinished run is in the way, or results of another command or of nobody's
-            manifest, which are then replaced.
+            writes all to the tables, whose column ``ok`` says which are more likely good than not.
+        overwrite: begin anew if there is an unfinished run, and replace results of another command or without a
+            manifest.
     """
 
     out: str | Path
@@ -146,13 +146,13 @@ class FolderReport:
         pictures: how many there were.
         resumed: how many of them an earlier run had done.
         faces: how many were fitted.
-        doubtful: how many of them are rather bad than good, as the model's confidence says.
+        doubtful: how many of them are more likely bad than good, by the model's confidence.
         problems: of pictures without a fit, and of faces in them.
         unused: names of pictures in the file of boxes that were not given.
-        left_out: of the pictures that were given, those that an earlier run has written to the folder of the results.
+        left_out: pictures that were given, but that an earlier run wrote to the folder of the results.
         written: files and folders, in the folder of the results.
-        set_apart: how many faces stand in ``doubtful.csv`` instead of the tables, as their confidence is below the
-            least.
+        set_apart: how many faces are in ``doubtful.csv`` instead of the tables, because their confidence is below
+            ``min_confidence``.
         replaced: a sentence about a finished run of other settings whose results were in the folder; empty if there
             was none.
     """
@@ -177,7 +177,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], *, progress: Prog
 
     Pictures are done in chunks that are kept in ``.unfinished``, each as a whole or not at all: a run that was stopped
     goes on when it is started again with the same settings and pictures, and gives the same files. Chunks of pictures
-    that have changed since are done anew. One process at a time writes to the folder, and never over what was given.
+    that have changed since are done anew. One process at a time writes to the folder, and never over an input.
 
     Args:
         run: what to do; its folder of results may hold those of an earlier run, which are replaced.
@@ -186,7 +186,7 @@ def fit_folder(run: FolderRun, pictures: Sequence[str | Path], *, progress: Prog
 
     Raises:
         InputError: a setting is wrong; the folder holds an unfinished run of other settings, results of another command
-            or of nobody's manifest, is being written by another process, or cannot be written to; or a picture or
+            or without a manifest, is being written by another process, or cannot be written to; or a picture or
             another file that was given would be written over.
         ModelError: no such model.
     """
@@ -289,8 +289,8 @@ def _require_own(out: Path, unfinished: RunFolder) -> None:
         raise InputError(f"{error}, or overwrite (--overwrite) to replace them") from None
     if not unfinished.begun and not (out / MANIFEST).exists() and (strange := _unaccounted(out)):
         raise InputError(
-            f"{out} holds {strange[0]}, which no {MANIFEST} accounts for, as of an earlier version; use another --out, "
-            "or overwrite (--overwrite) to replace such results"
+            f"{out} holds {strange[0]}, which no {MANIFEST} lists, as after a run of an earlier version; use another "
+            "--out, or overwrite (--overwrite) to replace such results"
         )
 
 
@@ -334,8 +334,8 @@ def _pipeline(run: FolderRun, model: Model) -> tuple[Pipeline, _NamedBoxes | Non
         raise InputError(f"expected formats among {', '.join(WRITERS)}; got {unknown[0]!r}")
     if run.min_confidence is not None and not 0 <= run.min_confidence <= 1:
         raise InputError(
-            f"min confidence: expected a number from 0 to 1, such as 0.5, which leaves out what is rather bad; got "
-            f"{run.min_confidence}"
+            f"min confidence: expected a number from 0 to 1, such as 0.5, which leaves out fits that are more "
+            f"likely bad than good; got {run.min_confidence}"
         )
     if run.min_confidence is not None and model.confidence is None:
         raise InputError(

@@ -35,8 +35,8 @@ class BatchFitter:
         model: a bundled model's name, or a model file that every worker can read.
         fitting: how faces are found, by a detector that comes by name, and fitted.
         refine: refine 3D alignments, as ``jaxfit.refine`` does.
-        cores: that a worker's threads keep busy; with a worker for each core, 1.
-        max_megapixels: of a picture; larger ones are problems.
+        cores: how many cores a worker's threads use: 1, if there is a worker for each core.
+        max_megapixels: the largest picture that is read, in million pixels; larger ones are problems.
         unshift: move fits of models whose labels lay beside what they mark onto it (``Model.unshifted``).
         heads: find heads with 2D models, as ``jaxfit.with_heads`` does.
 

@@ -103,7 +103,8 @@ def _sources(source: Scheme, target: Scheme) -> Sources | None:
 
 
 def convert(landmarks: np.ndarray, source: Scheme, target: Scheme) -> np.ndarray:
-    """Landmarks (..., L, D) of the scheme ``source`` as landmarks (..., M, D) of ``target``; what needs a NaN is NaN.
+    """Landmarks (..., L, D) of the scheme ``source`` as landmarks (..., M, D) of ``target``; what depends on a NaN is
+    NaN.
 
     Raises:
         InputError: the conversion is not known, or ``landmarks`` are not of ``source``.

@@ -176,7 +176,8 @@ def scheme_of_count(count: int) -> Scheme:
 
 
 def scheme_of_numbered(scheme: Scheme) -> Scheme:
-    """What points that are only numbered mean if they are those of a face: the known scheme of so many, if there is
+    """What points that are only numbered mean if they are those of a face: the known scheme of as many points, if there
+    is
     one; any other scheme stays as it is."""
     known = scheme_of_count(scheme.count)
     return (

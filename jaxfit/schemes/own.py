@@ -158,9 +158,9 @@ def scheme_of_json(value: object) -> Scheme:
         return scheme_named(str(value))
     names, unit, normaliser = tuple(value["names"]), value["unit"], value["normaliser"]
     if not (is_name(value["name"]) and value["name"] not in SCHEMES and all(map(is_name, names))):
-        raise InputError(f"expected the name of a scheme of one's own, and of its points; got {value['name']!r}")
+        raise InputError(f"expected the name of a scheme of your own, and of its points; got {value['name']!r}")
     if not (isinstance(value["count"], int) and (unit == "" or is_name(unit)) and normaliser in (None, *NORMALISERS)):
-        raise InputError(f"expected a scheme of one's own; got {value!r}")
+        raise InputError(f"expected a scheme of your own; got {value!r}")
     ends = None if value["ends"] is None else (int(value["ends"][0]), int(value["ends"][1]))
     scheme = Scheme(
         name=value["name"],

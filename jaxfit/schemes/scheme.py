@@ -31,7 +31,7 @@ class Scheme:
             None if unknown.
         lines: polylines of indices that draw the face.
         names: what the points are called; empty if they are only numbered.
-        normaliser: what errors are divided by if nobody says otherwise, one of ``NORMALISERS``; None: see
+        normaliser: what errors are divided by unless a normaliser is given, one of ``NORMALISERS``; None: see
             `jaxfit.schemes.normalisers.default_normaliser`.
         ends: two points whose distance is the normaliser ``ends``, or None.
         unit: of lengths, where a picture's scale is known, such as ``mm``; empty if unknown.

@@ -1,4 +1,4 @@
-"""The HTTP server behind the page: for browsers of this machine only, and for nobody's pages but its own.
+"""The HTTP server behind the page: for browsers of this machine only, and for its own page only.
 
 It listens on the loopback interface and keeps what it is sent in memory, for as long as it takes to answer. Web pages
 from elsewhere may try to reach it through the user's browser: requests that name another host (as after DNS rebinding),
@@ -43,7 +43,7 @@ class Server(ThreadingMixIn, TCPServer):
         seconds: that a client has for sending a request, and for taking the answer.
 
     Raises:
-        InputError: the port is no port, is taken, or is not for everybody.
+        InputError: the port is not a number of a port, is taken, or may not be used.
     """
 
     allow_reuse_address = True  # after a restart, the connections of the one before take a minute to be forgotten
@@ -77,7 +77,7 @@ class Server(ThreadingMixIn, TCPServer):
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """What browsers that mean this server call it."""
+        """The names by which browsers address this server."""
         names = (HOST, "localhost")
         return tuple(f"{name}:{self.port}" for name in names) + (names if self.port == 80 else ())
 
@@ -96,7 +96,7 @@ class Server(ThreadingMixIn, TCPServer):
             self._connections.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Show what went wrong, but for clients that went away."""
+        """Print what went wrong, unless the client went away."""
         if not isinstance(sys.exception(), ConnectionError | TimeoutError):
             super().handle_error(request, client_address)
 
@@ -198,7 +198,7 @@ class _Handler(BaseHTTPRequestHandler):
             actions[path]()
         except _Refusal as refusal:
             self.send_error(refusal.status, str(refusal))
-        except (ConnectionError, TimeoutError):  # nobody listens any more
+        except (ConnectionError, TimeoutError):  # the client went away
             raise
         except Exception:
             self.server.handle_error(self.request, self.client_address)

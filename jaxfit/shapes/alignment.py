@@ -59,7 +59,7 @@ def align_head(
         weights: (L,) how much each landmark counts, 0 for those that are not known; None counts all alike.
         noise: standard deviation of the landmarks' errors, in the model's unit; None estimates it from what is left
             over in each round, 0 trusts them fully, as the thesis does.
-        most_rounds: after so many the best so far is given.
+        most_rounds: after this many rounds the best result so far is returned.
     """
     weights = jnp.ones(len(points), points.dtype) if weights is None else weights
     known = jnp.where((weights > 0)[:, None], points, 0.0)

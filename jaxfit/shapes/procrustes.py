@@ -58,7 +58,7 @@ def generalised_procrustes(
     Args:
         points: (N, L, D), in any unit.
         tolerance: the mean is at rest when a round moves it by less, in root mean square radii of the mean.
-        most_rounds: after so many rounds the result is given as it is, not ``converged``.
+        most_rounds: after this many rounds the result is returned as it is, not ``converged``.
     """
     centred = points - points.mean(1, keepdims=True)
     radii = jnp.sqrt((centred**2).sum(2).mean(1))

@@ -162,7 +162,7 @@ def test_files_that_are_no_configuration(tmp_path: Path) -> None:
 
 
 def test_the_documented_configuration_is_one() -> None:
-    config = read_config(Path(__file__).resolve().parents[2] / "docs" / "experiments" / "thesis.toml")
+    config = read_config(Path(__file__).resolve().parents[2] / "docs" / "measured" / "experiments" / "thesis.toml")
     assert {plan.name for plan in config.methods} == {"sdm", "parametric", "alignment3d", "regression3d"}
     assert {dataset.thesis for dataset in config.datasets} == {"AFLW", "LFPW"}
     assert config.names_thesis

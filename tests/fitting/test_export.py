@@ -168,7 +168,8 @@ def test_the_same_model_gives_the_same_bytes_that_name_no_folder(good: bytes, fo
     assert (tmp_path / "other.safetensors").read_bytes() != good
 
 
-BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "export.md").read_text(encoding="utf-8"), re.DOTALL)
+PAGE = ROOT / "docs" / "reference" / "exported-files.md"
+BLOCKS = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
 # Whose import of jaxfit fails as if it were not installed.
 CHILD = """
 import sys
@@ -200,7 +201,7 @@ def test_the_documented_lines_fit_without_jaxfit(folder: Path, tmp_path: Path, k
 def test_the_documented_lines_cut_the_same_crops(folder: Path, kind: str, side: int) -> None:
     names: dict[str, Any] = {"path": folder / "sdm.safetensors"}
     for block in BLOCKS:
-        exec(compile(block, "export.md", "exec"), names)
+        exec(compile(block, "exported-files.md", "exec"), names)
     picture = cv2.resize(pictures(1)[0], (200, 180), interpolation=cv2.INTER_CUBIC)
     box = np.array([30.0, 20.5, side, 1.2 * side])
     crops, problems = jaxfit.crop_faces(random_model("sdm"), [picture], [box], kind=kind)

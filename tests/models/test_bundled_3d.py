@@ -65,7 +65,7 @@ def test_is_small_and_says_what_it_is_made_of(name: str) -> None:
 
 @pytest.mark.parametrize("name", MODELS)
 def test_tells_the_pose_of_real_heads(name: str, real_dataset: Callable) -> None:
-    # A guard of the pipeline on a few pictures; docs/pose.md has the figures.
+    # A guard of the pipeline on a few pictures; docs/measured/pose.md has the figures.
     faces = [face for face in real_dataset("aflw2000:aflw2000").faces if abs(face.pose[YAW]) <= 45][:448:8]
     images = [jaxfit.read_image(face.image) for face in faces]
     found = jaxfit.fit(jaxfit.load(name), images, start_boxes(faces)).pose

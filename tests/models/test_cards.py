@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def test_every_model_has_a_card() -> None:
     assert {*read_cards()} == {*jaxfit.bundled()}
     for name in jaxfit.bundled():
-        card = (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+        card = (ROOT / "docs" / "reference" / "models" / f"{name}.md").read_text(encoding="utf-8")
         assert card.startswith(f"# Model card: `{name}`")
         for heading in ("## Data and terms", "## Accuracy", "## Limits"):
             assert heading in card, name

@@ -305,7 +305,7 @@ def test_a_stopped_run_goes_on_where_it_was(
 
 
 def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: Path) -> None:
-    """What a run before wrote goes, what others wrote stays, and what nobody accounts for is refused."""
+    """What a run before wrote goes, what others wrote stays, and what no manifest lists is refused."""
     out = Path(run.out)
     first = replace(run, formats=("csv", "pts", "jsonl"), contact_sheet=True)
     fit_folder(first, pictures[:3])
@@ -329,7 +329,7 @@ def test_a_run_owns_its_folder(run: FolderRun, pictures: list[Path], tmp_path: P
     for account, words in (
         (manifest | {"command": "jaxfit track"}, "holds results of `jaxfit track`.*overwrite"),
         ([], "expected the manifest"),
-        (None, r"holds landmarks.csv, which no manifest.json accounts for.*overwrite"),
+        (None, r"holds landmarks.csv, which no manifest.json lists.*overwrite"),
     ):
         if account is None:
             (out / "manifest.json").unlink()

@@ -52,8 +52,8 @@ def detector_named(detector: str | Detector | None = DEFAULT_DETECTOR, search: S
         search: how faces are looked for.
 
     Raises:
-        InputError: there is none of this name, its file is missing or damaged, what it needs is not installed; a search
-            for a detector that does not come by name, or with what the detector does not use.
+        InputError: the name is unknown; the detector's file is missing or damaged; a package that it needs is not
+            installed; or `search` is given for a detector of your own, or has an option that the detector does not use.
     """
     if not isinstance(detector, str | None):
         if not isinstance(detector, Detector):
@@ -102,6 +102,6 @@ def detect_faces(
 
     Raises:
         InputError: as `detector_named`.
-        ImageError: the image is none of these.
+        ImageError: the image cannot be used.
     """
     return detector_named(detector, search)(to_eight_bits(image))

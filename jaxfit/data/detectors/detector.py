@@ -24,7 +24,7 @@ class Detection:
         box: (4,) float64 x, y, width, height in pixels; may reach outside the picture.
         kind: which detector found it; boxes of different kinds sit differently around the same face.
         rotation: how far the face is turned in the picture, in degrees, clockwise as seen; 0 if the detector does not
-            tell.
+            say.
         score: how sure the detector is, comparable among its own finds only.
     """
 
@@ -39,12 +39,12 @@ class Search:
     """How faces are looked for.
 
     Attributes:
-        smallest: width in pixels of the smallest faces that are to be found; None is 24, in large pictures more: 1/60
-            of the root of their area. Time grows with the square of what is smaller.
-        score: from which a find is a face, in (0, 1], for detectors that score their finds; None is what suits the
-            detector.
+        smallest: width in pixels of the smallest faces to find; None is 24, or in large pictures 1/60 of the root of
+            their area. Half the width takes four times as long.
+        score: the least score, in (0, 1], with which a find counts as a face, for detectors that score their finds;
+            None is what suits the detector.
         any_rotation: also look at the picture turned by 90, 180 and 270 degrees, which takes four times as long. YuNet
-            finds most turned faces without; upside down, it takes them for upright ones.
+            finds most turned faces without it, but takes a face that is upside down for an upright one.
 
     Raises:
         InputError: a number out of range.
@@ -81,7 +81,7 @@ class Detector(Protocol):
 
     @property
     def rough(self) -> bool:
-        """Whether its boxes lie around faces so differently that a second pass of the cascade pays."""
+        """Whether its boxes vary so much that a second pass of the cascade is worth its time."""
         ...
 
     def __call__(self, image: np.ndarray) -> list[Detection]:
@@ -152,7 +152,8 @@ class AnyRotation:
 
 
 def turned_back(face: Detection, quarters: int, shape: Sequence[int]) -> Detection:
-    """A face of a picture that was turned counter-clockwise by so many quarters, in the picture (H, W, …) itself."""
+    """A face of a picture that was turned counter-clockwise by some quarters, as it lies in the picture (H, W, …)
+    itself."""
     (x, y, width, height), (rows, columns) = face.box.tolist(), shape[:2]
     if quarters == 1:
         box = [columns - y - height, x, height, width]

@@ -284,7 +284,7 @@ def _part(bgr: np.ndarray, left: int, top: int, right: int, bottom: int, scale: 
 
 
 def _tiles(length: int, scale: float) -> list[tuple[int, int]]:
-    """Overlapping intervals that cover so many pixels, of a length that is ``_TILE`` for the network."""
+    """Overlapping intervals that cover a number of pixels, each as long as ``_TILE`` for the network."""
     tile, shared = math.ceil(_TILE / scale), math.ceil(_SHARED / scale)
     if length <= tile:
         return [(0, length)]

@@ -112,7 +112,7 @@ def _annotation(
     if each.get("category_id") != chosen:
         raise DatasetError(f"is of category {each.get('category_id')!r}; those of {chosen!r} are read")
     if each.get("iscrowd"):
-        raise DatasetError("is a crowd (iscrowd), of which nothing is learned")
+        raise DatasetError("is a crowd (iscrowd), which cannot be learned from")
     points = _numbers(each.get("keypoints", []), "keypoints")
     if len(points) != 3 * count:
         raise DatasetError(f"expected {count} keypoints x, y, v; got {len(points)} numbers")

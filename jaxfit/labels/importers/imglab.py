@@ -53,7 +53,7 @@ class _Handler:
             raise DatasetError(f"{self._where}: expected imglab's <dataset>; got <{name[:80]}>")
         self._open.append(name)
         if len(self._open) > _DEEPEST:
-            raise DatasetError(f"{self._where}: expected imglab's XML; its elements lie too deep in one another")
+            raise DatasetError(f"{self._where}: expected imglab's XML; its elements are nested too deeply")
         if name == "image":
             self._image = attributes.get("file", "")
             if not self._image:
