@@ -1,8 +1,8 @@
 """Build the bundled models from folders of data, by the commands that their cards show.
 
 The data lie in one folder, as ``lfpw68``, ``helen68``, ``ytf68``, ``aflw``, ``aflw2000``, ``pointing04`` and ``ict``.
-With ``--split`` (a folder of ``scripts/split.py``) the 68-point faces are those of its ``train``, and what is built is
-measured on its ``test`` and on AFLW2000-3D: the figures of the cards.
+With ``--split`` (a folder of ``scripts/split.py``) the faces of LFPW, HELEN, YouTube Faces and AFLW are those of its
+``train``, and what is built is measured on its ``test`` and on AFLW2000-3D: the figures of the cards.
 """
 
 import argparse
@@ -18,13 +18,14 @@ from jaxfit.errors import InputError
 SETS = ("lfpw68", "helen68", "ytf68")
 SCRIPTS = Path(__file__).resolve().parent
 
-# In commands, {faces} are the 68-point faces, {data} and {out} the folders.
+# In commands, {faces} are the 68-point faces, {aflw} is AFLW's folder, {data} and {out} are the folders.
 _WINDOWS = "--windows 0.45 0.36 0.28 0.22 0.18 0.15"
 _DENSE = f"--descriptor dense {_WINDOWS} --no-detectors"
 _ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-detectors"
 _WITHOUT = "--without aflw2000-all:{data}/aflw2000"
-_LIFTED = f"--lift aflw+0.5:{{data}}/aflw {_WITHOUT}"
-_TURNED = f"{_LIFTED} --lift-yaw 30"
+_LIFTED = f"--lift aflw+0.5:{{aflw}} {_WITHOUT}"
+_SHARED = f"--share aflw+0.5:{{aflw}} {_WITHOUT}"
+_HARD = "--units 64 --guessed 0.3 --balance 0.5 --covered 0.2 --dark 0.1 --coarse 0.2 --compressed 0.15"
 _RENDERED = [
     "scripts/render_poses.py --facekit {data}/ict/ict_facekit.npz --data {faces} --per-subject 4 --most 925 --seed 0 "
     "--out {out}/rendered",
@@ -32,15 +33,15 @@ _RENDERED = [
     "--turn tilt --seed 1 --out {out}/tilted",
 ]
 _WIDE = (
-    "jaxfit train --data {faces} pts:{out}/rendered pts:{out}/tilted --lift aflw:{data}/aflw --lift-yaw 30 "
+    "jaxfit train --data {faces} pts:{out}/rendered pts:{out}/tilted --lift aflw:{aflw} --lift-yaw 30 "
     "--without aflw2000-all:{data}/aflw2000 --augmentations 3 --windows 0.5 0.4 0.31 0.24 0.19 0.15"
 )
 RECIPES: dict[str, list[str]] = {
     "face68": [
-        f"jaxfit train --data {{faces}} {_TURNED} --shift 1 {_ROOT} --crop 148 --face 84 --rank 32 "
+        f"jaxfit train --data {{faces}} {_LIFTED} --lift-yaw 60 --shift 1 {_ROOT} --crop 148 --face 84 --rank 40 "
         "--out {out}/face68.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face68.greedy.safetensors --data {{faces}} {_TURNED} --share aflw+0.5:{{data}}/aflw "
-        "--epochs 12 --validation 0 --confidence 2 --out {out}/face68.safetensors",
+        f"jaxfit finetune {{out}}/face68.greedy.safetensors --data {{faces}} {_SHARED} --epochs 5 --validation 0 "
+        f"{_HARD} --confidence 2 --out {{out}}/face68.safetensors",
     ],
     "face68-3d": [
         f"jaxfit train --data {{faces}} {_LIFTED} --method regression3d --shift 1 {_ROOT} "
@@ -49,14 +50,14 @@ RECIPES: dict[str, list[str]] = {
         "--validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
     ],
     "face21": [
-        f"jaxfit train --data aflw:{{data}}/aflw --fill {_WITHOUT} --shift 0.5 {_ROOT} --rank 24 "
+        f"jaxfit train --data aflw:{{aflw}} --fill {_WITHOUT} --shift 0.5 {_ROOT} --rank 24 "
         "--out {out}/face21.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{data}}/aflw --fill {_WITHOUT} --epochs 12 "
+        f"jaxfit finetune {{out}}/face21.greedy.safetensors --data aflw:{{aflw}} --fill {_WITHOUT} --epochs 12 "
         "--validation 0 --confidence 2 --out {out}/face21.safetensors",
     ],
     "fast68": [
         f"jaxfit train --data {{faces}} --shift 1 {_DENSE} --rank 32 --out {{out}}/fast68.greedy.safetensors",
-        f"jaxfit finetune {{out}}/fast68.greedy.safetensors --data {{faces}} --share aflw+0.5:{{data}}/aflw {_WITHOUT} "
+        f"jaxfit finetune {{out}}/fast68.greedy.safetensors --data {{faces}} {_SHARED} "
         "--epochs 12 --validation 0 --out {out}/fast68.safetensors",
     ],
     "sdm68": ["jaxfit train --data {faces} --out {out}/sdm68.safetensors"],
@@ -108,6 +109,7 @@ def commands_of(name: str, arguments: argparse.Namespace, out: Path) -> list[str
     data, split, folder = shlex.quote(arguments.data), shlex.quote(arguments.split or ""), shlex.quote(str(out))
     of_faces = f"{split}/train" if arguments.split else data
     places = {"data": data, "out": folder, "faces": " ".join(f"pts:{of_faces}/{each}" for each in SETS)}
+    places["aflw"] = f"{of_faces}/aflw"
     commands = [command.format(**places) for command in RECIPES[name]]
     if arguments.split:
         tested = " ".join(f"pts:{split}/test/{each}" for each in SETS)

@@ -37,7 +37,7 @@ _COVERED = 0.5  # share of the crops that something covers
 _SAMPLES = 2048  # that principal axes are learned from
 _AXES, _OWN_AXES = 128, 24  # of all descriptors of a face, and of a landmark's own
 _VARIANCE = 0.98
-_HIDDEN = 48
+_HIDDEN = 32
 _EPOCHS, _AT_ONCE, _RATE, _DECAY = 24, 256, 2e-3, 0.1  # of the network's training
 _LEVELS = (0.5, 0.9, 0.95)  # shares of the true landmarks that regions shall hold
 
