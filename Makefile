@@ -4,13 +4,11 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-PORTRAIT = $(shell $(BIN)/python -c "import matplotlib.cbook as c; print(c.get_sample_data('grace_hopper.jpg', asfileobj=False))")
 
 .PHONY: demo docs lint check modes test everything clean
 
 demo: .venv/plots
-	$(BIN)/jaxfit fit "$(PORTRAIT)" --out demo
-	@echo "Look at demo/overlays/grace_hopper.jpg"
+	$(BIN)/jaxfit demo
 
 docs: .venv/docs
 	$(BIN)/sphinx-build --fail-on-warning --quiet docs build/site

@@ -21,7 +21,16 @@ require_importable_jax()
 # ruff: noqa: E402 - what imports JAX comes after it
 from jaxfit import cascade, data, errors, evaluation, fitting, heads, labels, learning, models, runs, schemes
 from jaxfit.cascade import Greedy, Starts, Tuning
-from jaxfit.data import FieldOfView, PinholeCamera, Search, detect_faces, draw_head, draw_landmarks, read_image
+from jaxfit.data import (
+    FieldOfView,
+    PinholeCamera,
+    Search,
+    detect_faces,
+    draw_head,
+    draw_landmarks,
+    read_image,
+    sample,
+)
 from jaxfit.errors import InputError, JaxfitError
 from jaxfit.evaluation import Evaluation, evaluate
 from jaxfit.fitting import Fits, Fitting, Placing, crop_faces, export, fit, fuse, place_heads, refine, track, warm_up
@@ -73,6 +82,7 @@ __all__ = [
     "read_image",
     "refine",
     "runs",
+    "sample",
     "save",
     "schemes",
     "track",

@@ -12,6 +12,8 @@ from jaxfit.cli import (
     collect,
     compare,
     convert,
+    demo,
+    doctor,
     evaluate,
     experiments,
     export,
@@ -46,6 +48,12 @@ _COMMANDS = (
     export,
     experiments,
     convert,
+    demo,
+    doctor,
+)
+_EXIT_CODES = (
+    "exit codes: 0 the command did what it was asked to; 1 no face could be fitted, or doctor found something that does "
+    "not work; 2 a wrong request, or results that could not be written; 130 stopped by Ctrl-C"
 )
 
 
@@ -86,7 +94,11 @@ class _Parser(argparse.ArgumentParser):
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
-    top = _Parser(prog="jaxfit", description="Face landmarks, 3D shape and head pose by cascaded regression, in JAX.")
+    top = _Parser(
+        prog="jaxfit",
+        description="Face landmarks, 3D shape and head pose by cascaded regression, in JAX.",
+        epilog=_EXIT_CODES,
+    )
     top.add_argument("--version", action="version", version=f"jaxfit {jaxfit.__version__}")
     commands = top.add_subparsers(required=True, metavar="COMMAND")
     for module in _COMMANDS:

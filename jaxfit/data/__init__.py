@@ -7,6 +7,7 @@ from jaxfit.data.detectors import Detection, Detector, Search, detect_faces, det
 from jaxfit.data.limits import at_most_megapixels
 from jaxfit.data.overlays import draw_head, draw_landmarks, draw_row
 from jaxfit.data.pictures import find_images, read_image, write_image
+from jaxfit.data.samples import sample
 from jaxfit.data.videos import Video
 
 __all__ = [
@@ -26,5 +27,6 @@ __all__ = [
     "find_images",
     "read_boxes",
     "read_image",
+    "sample",
     "write_image",
 ]
