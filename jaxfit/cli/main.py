@@ -52,8 +52,8 @@ _COMMANDS = (
     doctor,
 )
 _EXIT_CODES = (
-    "exit codes: 0 the command did what it was asked to; 1 no face could be fitted, or doctor found something that does "
-    "not work; 2 a wrong request, or results that could not be written; 130 stopped by Ctrl-C"
+    "exit codes: 0 the command did what it was asked to; 1 no face could be fitted, or doctor found something that "
+    "does not work; 2 a wrong request, or results that could not be written; 130 stopped by Ctrl-C"
 )
 
 
