@@ -139,7 +139,7 @@ BOMB = (
         ("imglab", "<!DOCTYPE d [<!ENTITY a SYSTEM 'file:///etc/passwd'>]><dataset>&a;</dataset>", "no entities"),
         ("imglab", "<annotation/>", "line 1: expected imglab's <dataset>; got <annotation>"),
         ("imglab", "<dataset>\n<images>\n", "line 3: expected imglab's XML; no element found"),
-        ("imglab", "<dataset>" + "<a>" * 200, "lie too deep"),
+        ("imglab", "<dataset>" + "<a>" * 200, "nested too deeply"),
         ("imglab", f"<dataset><image file='a.png'>{BOX}</box></image></dataset>", "expected boxes with parts"),
         ("coco", "[]", "expected COCO keypoints: .* got a list"),
         ("coco", "[" * 100_000, "expected COCO keypoints"),
