@@ -7,6 +7,7 @@ notebooks.
 import argparse
 import base64
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -62,7 +63,7 @@ def parts_of(name: str, cell: Any) -> list[str]:
         output.text for output in cell.outputs if output.output_type == "stream" and output.name == "stdout"
     )
     if printed.strip():
-        lines = printed.rstrip().splitlines()
+        lines = re.sub(r"/tmp/\w+", "…", printed).rstrip().splitlines()
         parts.append("\n".join(["```text", *lines[:LINES], *["…"] * (len(lines) > LINES), "```"]))
     for output in cell.outputs:
         if "image/png" in output.get("data", {}):
