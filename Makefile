@@ -1,11 +1,11 @@
 # `make demo` fits a portrait; `make docs` builds the site. `make check` runs lint, types and laws, `make test` most tests,
-# `make everything` all of them; `make modes` runs the laws in JAX's other modes. All start from nothing but Python 3.11+
-# and make.
+# `make everything` all of them; `make modes` runs the laws in JAX's other modes; `make release` makes both packages and
+# tries them. All start from nothing but Python 3.11+ and make.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo docs lint check modes test everything clean
+.PHONY: demo docs lint check modes test everything release clean
 
 demo: .venv/plots
 	$(BIN)/jaxfit demo
@@ -37,6 +37,14 @@ test: lint
 everything: lint
 	$(TEST)
 
+# All tests, the site, and both packages, of which the wheel is tried in an environment of its own.
+release: everything docs
+	rm -rf dist build/release
+	$(BIN)/python -m build --no-isolation --outdir dist .
+	$(PYTHON) -m venv build/release
+	build/release/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	build/release/bin/jaxfit doctor
+
 # One stamp for each set of extras; the pinned versions make the result reproducible.
 .venv/%: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
@@ -44,4 +52,4 @@ everything: lint
 	touch $@
 
 clean:
-	rm -rf .venv demo build *.egg-info .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv demo build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache
