@@ -30,6 +30,7 @@ _EXTRAS = {
     "ray": "ray",
     "dlib": "dlib",
     "heif": "pillow_heif",
+    "completion": "shtab",
 }
 # Pixels of the sample portrait, where the picture shows these points of the 68: the outer corners of the eyes, the tip
 # of the nose, the corners of the mouth, and the chin.

@@ -11,6 +11,7 @@ import jaxfit
 from jaxfit.cli import (
     collect,
     compare,
+    completion,
     convert,
     demo,
     doctor,
@@ -50,6 +51,7 @@ _COMMANDS = (
     convert,
     demo,
     doctor,
+    completion,
 )
 _EXIT_CODES = (
     "exit codes: 0 the command did what it was asked to; 1 no face could be fitted, or doctor found something that "

@@ -1,5 +1,6 @@
 """The sample that comes with the package, the command that fits it, and the one that says what is installed."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,3 +55,17 @@ def test_exit_codes_are_documented(capsys: pytest.CaptureFixture[str]) -> None:
     said = " ".join(capsys.readouterr().out.split())
     for words in ("exit codes: 0 the command did", "1 no face could be fitted", "2 a wrong request", "130 stopped"):
         assert words in said
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_shells_complete_commands_and_options(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("shtab")
+    assert main(["completion", shell]) == 0
+    said = capsys.readouterr().out
+    assert all(word in said for word in ("finetune", "--confidence", "doctor"))
+
+
+def test_completion_without_its_extra(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "shtab", None)
+    assert main(["completion", "bash"]) == 2
+    assert 'pip install "jaxfit[completion]"' in capsys.readouterr().err
