@@ -26,7 +26,7 @@ from jaxfit.evaluation.datasets import EvaluationRun
 from jaxfit.evaluation.protocols import PROTOCOLS, protocol_notes
 from jaxfit.evaluation.tables import text_table
 from jaxfit.experiments.comparison import build_comparison, comparison_tables
-from jaxfit.experiments.page import write_files
+from jaxfit.experiments.page import require_page_makers, write_files
 from jaxfit.models.model import Model
 from jaxfit.schemes.normalisers import NORMALISERS
 
@@ -79,6 +79,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace, until_the_end: ExitStack) -> int:
     """What `run` does, in a folder of results that is held from where all requests are known to be right."""
+    require_page_makers()
     if options.protocol and options.normaliser:
         raise InputError("expected --protocol, which says what errors are relative to, or --normaliser; got both")
     contestants = read_contestants(options.contestants)

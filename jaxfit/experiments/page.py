@@ -3,6 +3,7 @@
 import base64
 import importlib.resources
 import math
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,16 @@ def write_files(report: Report, folder: Path) -> list[str]:
         elif isinstance(part, ReportFigure):
             written += [f"figures/{part.name}.{suffix}" for suffix in ("svg", "png")]
     return written
+
+
+def require_page_makers() -> None:
+    """Check, before the work, that a page with its figures can be written.
+
+    Raises:
+        InputError: matplotlib or jinja2 is missing.
+    """
+    if missing := [name for name in ("jinja2", "matplotlib") if find_spec(name) is None]:
+        raise InputError(f'pages of results need {" and ".join(missing)}: pip install "jaxfit[experiments]"')
 
 
 def _template() -> "jinja2.Template":

@@ -96,3 +96,11 @@ def test_the_worst_faces_are_each_ones_in_turn() -> None:
     assert worst_faces(errors, 9) == [1, 0, 3, 2]
     assert worst_faces(errors, 2) == [1, 0]
     assert worst_faces({"a": np.full(3, np.inf)}, 2) == [0, 1]
+
+
+def test_without_what_draws_the_page_nothing_is_begun(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr("jaxfit.experiments.page.find_spec", lambda name: None)
+    assert main(["compare", "face68", "fast68", "--data", "pts:nowhere", "--out", str(tmp_path / "out")]) == 2
+    assert 'need jinja2 and matplotlib: pip install "jaxfit[experiments]"' in capsys.readouterr().err

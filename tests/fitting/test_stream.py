@@ -69,7 +69,7 @@ def fits_of(pipeline: Pipeline, group: Sequence[Source]) -> Fits:
 def fake_find(look: Callable[[np.ndarray], None]) -> Callable:
     """Takes the place of the computation: shows the crops of each batch to ``look``, and finds zeros."""
 
-    def find(cascade: Any, aligned: Any, confidence: Any, crops: np.ndarray, *rest: Any) -> dict:
+    def find(cascade: Any, aligned: Any, confidence: Any, uncertainty: Any, crops: np.ndarray, *rest: Any) -> dict:
         look(crops)
         return {"landmarks": jnp.zeros((len(crops), 21, 2))}
 

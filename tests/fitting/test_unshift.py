@@ -74,4 +74,4 @@ def test_workers_and_the_page_move_fits_too(
     shift = jaxfit.load("face68").cascade.frame.shift
     assert shift > 0
     assert shifts == [shift, shift, 0, 0, 0, 0]
-    assert "no shift of labels is known of sdm68: their fits stay" in capsys.readouterr().err
+    assert "--unshift changes nothing for sdm68: no shift of their labels is known" in capsys.readouterr().err

@@ -16,6 +16,7 @@ from jaxfit.data.pictures import read_image, write_image
 from jaxfit.data.pts import write_pts
 from jaxfit.evaluation.errors import nmed
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning import learn_confidence
 from jaxfit.schemes.known import AFLW21
 
 
@@ -120,3 +121,33 @@ def test_faces_with_missing_points_teach_and_are_tested(
     assert [row[0] for row in rows_of(complete)] == list(models) == [row[0] for row in rows_of(by_yaw)]
     assert "Complete faces (16)" in above
     assert all(0 < float(row[1]) < 0.1 for row in rows_of(complete))
+
+
+def test_own_objects_are_measured_in_folds(folder: Path) -> None:
+    page = folder / "own.md"
+    arguments = ["--data", f"pts:{folder / 'heads'}", "--folds", "2", "--pixel", "0.5", "--within", "1e6"]
+    assert run("own_objects", *arguments, "--train", "quick=--copies 0", "--part", "heads", "--report", str(page)) == 0
+    text = page.read_text()
+    assert "<!-- figures: heads -->" in text
+    rows = rows_of(text)
+    assert [row[:2] for row in rows] == [["quick", start] for start in load("own_objects").STARTS[: len(rows)]]
+    for row in rows:
+        of_box, pixels, length, within = map(float, row[2:6])
+        assert 0 < of_box < 0.3
+        assert length == pytest.approx(pixels / 2, abs=0.01)
+        assert within == 100
+
+
+def test_uncertainties_are_measured(folder: Path, heads: tuple[FaceRecord, ...]) -> None:
+    taught = learn_confidence(jaxfit.load(folder / "good.safetensors"), heads, folds=2)
+    jaxfit.save(taught, folder / "taught.safetensors")
+    page = folder / "uncertainty.md"
+    model, data = str(folder / "taught.safetensors"), f"pts:{folder / 'heads'}"
+    assert run("uncertainty", model, "--data", data, "--report", str(page)) == 0
+    tables = [part for part in page.read_text().split("\n\n") if part.startswith("|")]
+    all_faces, covers, fused = (rows_of(table)[0] for table in tables)
+    assert int(all_faces[2]) == 12 * 21
+    assert all(0 <= float(share) <= 1 for share in all_faces[3:6])
+    assert 0 < float(covers[1]) < 30
+    assert len(fused) == 6
+    assert run("uncertainty", str(folder / "good.safetensors"), "--data", data) == 2
