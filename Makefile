@@ -7,7 +7,7 @@ BIN := .venv/bin
 
 .PHONY: demo docs lint check modes test everything release clean
 
-demo: .venv/plots
+demo: .venv/plain
 	$(BIN)/jaxfit demo
 
 docs: .venv/docs
@@ -37,18 +37,18 @@ test: lint
 everything: lint
 	$(TEST)
 
-# All tests, the site, and both packages, of which the wheel is tried in an environment of its own.
-release: everything docs
-	rm -rf dist build/release
-	$(BIN)/python -m build --no-isolation --outdir dist .
-	$(PYTHON) -m venv build/release
-	build/release/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
-	build/release/bin/jaxfit doctor
+# All tests, the site, and both packages, of which the wheel is tried in an empty environment of each Python:
+# make release PYTHONS="python3.11 python3.12 python3.13"
+PYTHONS ?= $(PYTHON)
 
-# One stamp for each set of extras; the pinned versions make the result reproducible.
+release: everything docs
+	rm -rf dist
+	$(BIN)/python scripts/installing.py --python $(PYTHONS)
+
+# One stamp for each set of extras, and one for none; the pinned versions make the result reproducible.
 .venv/%: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[$*]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".$(patsubst %,[%],$(filter-out plain,$*))"
 	touch $@
 
 clean:

@@ -1,6 +1,7 @@
 """The source distribution, and the wheel that is built from it: all that the package reads, types, licences."""
 
 import email
+import re
 import subprocess
 import sys
 import tarfile
@@ -11,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import jaxfit
+from jaxfit.cli import doctor
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -50,6 +52,11 @@ def test_the_wheel_has_every_file_of_the_package(wheel: zipfile.ZipFile) -> None
     assert {"jaxfit/py.typed", "jaxfit/models/bundled/cards.json"} <= inside
 
 
+def test_the_wheel_from_the_source_distribution_has_the_bytes_of_the_repository(wheel: zipfile.ZipFile) -> None:
+    names = sorted(files_of_the_package())
+    assert [name for name in names if wheel.read(name) != (ROOT / name).read_bytes()] == []
+
+
 def test_the_source_distribution_has_them_too(packages: Path) -> None:
     (path,) = packages.glob("*.tar.gz")
     with tarfile.open(path) as archive:
@@ -69,6 +76,18 @@ def test_metadata(wheel: zipfile.ZipFile) -> None:
         "jaxfit/data/detectors/bundled/LICENSE-YuNet.txt",
     }
     assert all(name.replace("METADATA", f"licenses/{file}") in wheel.namelist() for file in licences)
+
+
+def test_the_version_is_the_same_everywhere() -> None:
+    cited = re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    assert cited == [jaxfit.__version__]
+    assert f"\n## {jaxfit.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_doctor_knows_extras_that_there_are() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    for_developers = {"bench", "docs", "dev"}
+    assert set(doctor._EXTRAS) == set(extras) - for_developers
 
 
 def test_every_extra_is_documented() -> None:

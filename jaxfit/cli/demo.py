@@ -22,7 +22,8 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         words = [str(sample("portrait")), "--heads", "--out", options.out]
         say(f"$ jaxfit fit {' '.join(words)}")
         code = fit.run(commands.choices["fit"].parse_args(words))
-        say(f"Look at {Path(options.out) / 'overlays' / 'portrait.jpg'}")
+        if code == 0:
+            say(f"Look at {Path(options.out) / 'overlays' / 'portrait.jpg'}")
         return code
 
     command.set_defaults(run=run)

@@ -49,6 +49,25 @@ def test_the_doctor_finds_what_is_wrong(monkeypatch: pytest.MonkeyPatch, capsys:
     assert 'not installed: pip install "jaxfit[heif]"' in said
 
 
+def test_the_doctor_survives_a_fit_that_ends_in_any_error(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr(jaxfit, "fit", fail)
+    assert main(["doctor"]) == 1
+    assert "RuntimeError: no memory  WRONG" in capsys.readouterr().out
+
+
+def test_the_demo_names_no_overlay_that_it_could_not_make(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("jaxfit.cli.demo.fit.run", lambda options: 1)
+    assert main(["demo", "--out", str(tmp_path / "demo")]) == 1
+    assert "Look at" not in capsys.readouterr().out
+
+
 def test_exit_codes_are_documented(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])

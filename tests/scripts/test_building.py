@@ -1,16 +1,18 @@
 """Scripts that make the documents' folders and the bundled models."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from script_runner import SCRIPTS, run
+from script_runner import SCRIPTS, load, run
 
 import jaxfit
 from jaxfit.cli.main import main as jaxfit_main
 from jaxfit.cli.main import parser
 from jaxfit.data.pictures import write_image
 from jaxfit.data.pts import write_pts
+from jaxfit.errors import InputError
 from jaxfit.models.files import bundled
 
 
@@ -94,3 +96,18 @@ def test_unknown_models_are_not_built(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_what_fails_stops_the_building(tmp_path: Path) -> None:
     failed = jaxfit_main(["train", "--data", f"pts:{tmp_path}", "--out", "x.safetensors"])
     assert run("build_models", "sdm68", "--data", str(tmp_path), "--out", str(tmp_path)) == failed == 2
+
+
+def test_sizes_of_installed_packages_count_all_their_files(tmp_path: Path) -> None:
+    (tmp_path / "package" / "inner").mkdir(parents=True)
+    (tmp_path / "package" / "inner" / "a.bin").write_bytes(bytes(300))
+    (tmp_path / "package" / "b.bin").write_bytes(bytes(20))
+    installing = load("installing")
+    assert installing.size_of(tmp_path / "package") == 320
+    assert installing.size_of(tmp_path / "package" / "b.bin") == 20
+
+
+def test_a_step_of_installing_that_fails_says_which_and_why(tmp_path: Path) -> None:
+    failing = [sys.executable, "-c", "import sys; print('no such package'); sys.exit(3)"]
+    with pytest.raises(InputError, match=r"pip install ended with 3:\nno such package"):
+        load("installing").ended("pip install", failing, tmp_path)
