@@ -1,7 +1,9 @@
 """Build both packages, and try the wheel as someone new would, on each Python that is named: `pip install` into an
 empty environment, `jaxfit doctor`, and `jaxfit demo` with nothing compiled yet and once more.
 
-The wheel is built from the source distribution. pip downloads everything anew, so that seconds depend on the network.
+The wheel is built from the source distribution. pip keeps no cache, but the machine's settings for pip hold: where it
+takes packages from, a registry or a mirror on disk, makes most of its seconds. Each Python gets the versions that pip
+chooses.
 """
 
 import argparse
