@@ -28,6 +28,7 @@ from jaxfit.evaluation.boxes import start_boxes
 from jaxfit.evaluation.folds import split_by_subject
 from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import FaceRecord
+from jaxfit.learning.methods import Options
 from jaxfit.models.model import SQUARE
 from jaxfit.schemes.scheme import Scheme
 
@@ -103,12 +104,17 @@ def starting_boxes(faces: Sequence[FaceRecord]) -> dict[str, np.ndarray]:
     return dict(zip(STARTS, (exact, start_boxes(faces), whole), strict=True))
 
 
+def options_of(options: str, scheme: Scheme, specimens: int) -> Options:
+    """What ``jaxfit train`` would learn with, from these options and so many specimens."""
+    words = ["train", "--data", "none", "--out", "none.safetensors", "--no-detectors", *shlex.split(options)]
+    return training_options(parser().parse_args(words), scheme, "sdm", specimens)
+
+
 def with_jaxfit(scheme: Scheme, options: str, read: GreyPictures) -> Callable[..., Found]:
     """A training with options of ``jaxfit train``."""
 
     def training(learned: Sequence[FaceRecord], tested: Sequence[FaceRecord]) -> Found:
-        words = ["train", "--data", "none", "--out", "none.safetensors", "--no-detectors", *shlex.split(options)]
-        how = training_options(parser().parse_args(words), scheme, "sdm", len(learned))
+        how = options_of(options, scheme, len(learned))
         begin = time.perf_counter()
         model = jaxfit.train(learned, scheme, options=how, read=read).model
         seconds = time.perf_counter() - begin
