@@ -159,7 +159,8 @@ def options_for(scheme: Scheme, faces: int) -> Options:
     """The options that models are trained with unless something else is asked for.
 
     Of objects in a scheme of one's own there are few pictures, often large ones, and nothing is known of how they lie:
-    models learn from disturbed copies as well, from starts that are spread wider, at twice the resolution.
+    models learn from disturbed copies as well, from starts that are spread wider, at twice the resolution. They learn
+    from mirrored pictures only where the scheme says which points change places in them.
 
     Args:
         scheme: what the landmarks mean.
@@ -168,7 +169,8 @@ def options_for(scheme: Scheme, faces: int) -> Options:
     if scheme.name in SCHEMES:
         return Options()
     copies = min(_MOST_COPIES, max(0, _ENOUGH // max(faces, 1) - 1))
-    return Options(greedy=Greedy(spread=1.4, copies=copies), descriptor=Dense(zoom=2))
+    mirror = scheme.mirror is not None
+    return Options(greedy=Greedy(spread=1.4, copies=copies), mirror=mirror, descriptor=Dense(zoom=2))
 
 
 def view_of(method: str, options: Options) -> tuple[Descriptor, Frame]:

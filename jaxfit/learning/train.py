@@ -31,7 +31,7 @@ from jaxfit.types import Progress, silent
 
 # Faces in which detectors are run to learn how their boxes lie; profiles are rare among them, and found more rarely.
 _DETECTED_FACES = 2000
-_FEWEST_DETECTED = 10
+_FEWEST_DETECTED, _FEWEST_WHOLE = 10, 5  # boxes of a kind, to learn how faces lie in it
 _DETECTORS = ("yunet", "haar")
 # A box that a detector drew around a training face: the face's number, the kind of box, the box, and its rotation.
 _Detected = tuple[int, str, list[float], float]
@@ -192,7 +192,7 @@ def _detected_placements(
     placements = {}
     for kind in sorted({kind for _, kind, _, _ in detected}):
         found = [(number, box, rotation) for number, of_kind, box, rotation in detected if of_kind == kind]
-        if len(found) >= _FEWEST_DETECTED:
+        if len(found) >= (_FEWEST_WHOLE if kind == WHOLE else _FEWEST_DETECTED):
             numbers, boxes, rotations = map(np.array, zip(*found, strict=True))
             placements[kind] = measure_placement(boxes, landmarks[numbers], mean, face, rotations)
     return placements

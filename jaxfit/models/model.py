@@ -101,7 +101,8 @@ class Model:
             raise InputError(
                 f"this model knows boxes of the kinds {', '.join(known)}; got {kind!r}: give it boxes of a kind that "
                 f"it knows (--boxes, boxes=; {SQUARE!r} is the bounding square of all landmarks). Training learns "
-                "the kinds of the detectors that find ten of its faces or more"
+                "the kinds of the detectors that find ten of its faces or more, and whole pictures of your own objects "
+                "from five that show one each"
             )
         return known[kind]
 

@@ -3,7 +3,6 @@
 import json
 import re
 from contextlib import redirect_stderr, redirect_stdout
-from importlib import import_module
 from io import StringIO
 from pathlib import Path
 
@@ -44,10 +43,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with (
         redirect_stdout(StringIO()) as out,
         redirect_stderr(StringIO()) as warnings,
-        pytest.MonkeyPatch.context() as patch,
     ):
-        # How six objects of a fold lie in their pictures is then learned, too.
-        patch.setattr(import_module("jaxfit.learning.train"), "_FEWEST_DETECTED", 6)
         assert main(["train", "--data", str(folder / "l.tps"), *options]) == 0
     (folder / "out.txt").write_text(out.getvalue() + warnings.getvalue())
     return folder

@@ -36,6 +36,7 @@ def test_few_objects_of_ones_own_are_learned_from_several_times(scheme: Scheme, 
     options = options_for(scheme, faces)
     assert options.greedy.copies == copies
     assert (options == Options()) == (scheme == AFLW21)
+    assert options.mirror == (scheme == AFLW21)
 
 
 def test_labels_on_a_line_are_left_out_and_reported() -> None:
