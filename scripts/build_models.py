@@ -25,6 +25,10 @@ _ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-detectors"
 _WITHOUT = "--without aflw2000-all:{data}/aflw2000"
 _LIFTED = f"--lift aflw+0.5:{{aflw}} {_WITHOUT}"
 _SHARED = f"--share aflw+0.5:{{aflw}} {_WITHOUT}"
+_HARD = (
+    f"--data {{faces}} {_SHARED} --validation 0 --units 64 --guessed 0.3 --balance 0.5 --covered 0.2 --dark 0.1 "
+    "--coarse 0.2 --compressed 0.15"
+)
 _RENDERED = [
     "scripts/render_poses.py --facekit {data}/ict/ict_facekit.npz --data {faces} --per-subject 4 --most 925 --seed 0 "
     "--out {out}/rendered",
@@ -37,10 +41,11 @@ _WIDE = (
 )
 RECIPES: dict[str, list[str]] = {
     "face68": [
-        f"jaxfit train --data {{faces}} {_LIFTED} --lift-yaw 30 --shift 1 {_ROOT} --crop 148 --face 84 --rank 32 "
+        f"jaxfit train --data {{faces}} {_LIFTED} --lift-yaw 60 --shift 1 {_ROOT} --crop 148 --face 84 --rank 40 "
         "--out {out}/face68.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face68.greedy.safetensors --data {{faces}} {_LIFTED} --lift-yaw 30 "
-        "--share aflw+0.5:{aflw} --epochs 12 --validation 0 --confidence 2 --out {out}/face68.safetensors",
+        f"jaxfit finetune {{out}}/face68.greedy.safetensors {_HARD} --epochs 10 --out {{out}}/face68.tuned.safetensors",
+        f"jaxfit finetune {{out}}/face68.tuned.safetensors {_HARD} --epochs 6 --rate 0.03 --seed 1 --confidence 2 "
+        "--out {out}/face68.safetensors",
     ],
     "face68-3d": [
         f"jaxfit train --data {{faces}} {_LIFTED} --method regression3d --shift 1 {_ROOT} "

@@ -33,6 +33,7 @@ from jaxfit.schemes.scheme import mirror_order, mirrored
 from jaxfit.types import Progress
 
 _BATCH = 64
+_DRAWS = 2  # crops of each face, from other boxes and with other covers
 _COVERED = 0.5  # share of the crops that something covers
 _SAMPLES = 2048  # that principal axes are learned from
 _AXES, _OWN_AXES = 128, 24  # of all descriptors of a face, and of a landmark's own
@@ -87,7 +88,8 @@ def sight(
         read: gets a picture's path and returns it grey.
         progress: called with the stage's name, what is done and what there is to do.
     """
-    drawn = draw_faces(model, faces, seed, read, progress)
+    draws = [draw_faces(model, faces, seed + number, read, progress) for number in range(_DRAWS)]
+    drawn = DrawnFaces(*(np.concatenate(part) for part in zip(*draws, strict=True)))
     axes = axes or _axes(model, drawn, seed)
     parts = []
     for first in range(0, len(drawn.crops), _BATCH):
