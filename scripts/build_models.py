@@ -25,10 +25,6 @@ _ROOT = f"--descriptor dense --normalisation root {_WINDOWS} --no-detectors"
 _WITHOUT = "--without aflw2000-all:{data}/aflw2000"
 _LIFTED = f"--lift aflw+0.5:{{aflw}} {_WITHOUT}"
 _SHARED = f"--share aflw+0.5:{{aflw}} {_WITHOUT}"
-_HARD = (
-    f"--data {{faces}} {_SHARED} --validation 0 --units 64 --guessed 0.3 --balance 0.5 --covered 0.2 --dark 0.1 "
-    "--coarse 0.2 --compressed 0.15"
-)
 _RENDERED = [
     "scripts/render_poses.py --facekit {data}/ict/ict_facekit.npz --data {faces} --per-subject 4 --most 925 --seed 0 "
     "--out {out}/rendered",
@@ -39,19 +35,21 @@ _WIDE = (
     "jaxfit train --data {faces} pts:{out}/rendered pts:{out}/tilted --lift aflw:{aflw} --lift-yaw 30 "
     "--without aflw2000-all:{data}/aflw2000 --augmentations 3 --windows 0.5 0.4 0.31 0.24 0.19 0.15"
 )
+
+
+def limited(name: str, rank: int) -> str:
+    """What makes a model's file smaller."""
+    full, smaller = f"{{out}}/{name}.full.safetensors", f"{{out}}/{name}.safetensors"
+    return f"scripts/limit_rank.py {full} {smaller} --data {{faces}} --rank {rank}"
+
+
 RECIPES: dict[str, list[str]] = {
     "face68": [
         f"jaxfit train --data {{faces}} {_LIFTED} --lift-yaw 60 --shift 1 {_ROOT} --crop 148 --face 84 --rank 40 "
         "--out {out}/face68.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face68.greedy.safetensors {_HARD} --epochs 10 --out {{out}}/face68.tuned.safetensors",
-        f"jaxfit finetune {{out}}/face68.tuned.safetensors {_HARD} --epochs 6 --rate 0.03 --seed 1 --confidence 2 "
-        "--out {out}/face68.safetensors",
-    ],
-    "face68-3d": [
-        f"jaxfit train --data {{faces}} {_LIFTED} --method regression3d --shift 1 {_ROOT} "
-        "--out {out}/face68-3d.greedy.safetensors",
-        f"jaxfit finetune {{out}}/face68-3d.greedy.safetensors --data {{faces}} {_LIFTED} --epochs 12 "
-        "--validation 0 --confidence 2 --out {out}/face68-3d.safetensors",
+        f"jaxfit finetune {{out}}/face68.greedy.safetensors --data {{faces}} {_SHARED} --epochs 10 --validation 0 "
+        "--units 64 --guessed 0.3 --balance 0.5 --covered 0.2 --dark 0.1 --coarse 0.2 --compressed 0.15 "
+        "--confidence 2 --out {out}/face68.safetensors",
     ],
     "face21": [
         f"jaxfit train --data aflw:{{aflw}} --fill {_WITHOUT} --shift 0.5 {_ROOT} --rank 24 "
@@ -64,20 +62,24 @@ RECIPES: dict[str, list[str]] = {
         f"jaxfit finetune {{out}}/fast68.greedy.safetensors --data {{faces}} {_SHARED} "
         "--epochs 12 --validation 0 --out {out}/fast68.safetensors",
     ],
-    "sdm68": ["jaxfit train --data {faces} --out {out}/sdm68.safetensors"],
+    "sdm68": ["jaxfit train --data {faces} --out {out}/sdm68.full.safetensors", limited("sdm68", 48)],
     "parametric68": [
         "jaxfit train --data {faces} --method parametric --starts 11 "
-        "--windows 0.45 0.45 0.4 0.34 0.26 0.2 0.15 --out {out}/parametric68.safetensors",
+        "--windows 0.45 0.45 0.4 0.34 0.26 0.2 0.15 --out {out}/parametric68.full.safetensors",
+        limited("parametric68", 32),
     ],
     "regression68-3d": [
         *_RENDERED,
         f"{_WIDE} --method regression3d --out {{out}}/regression68-3d.uncalibrated.safetensors",
         "scripts/calibrate.py {out}/regression68-3d.uncalibrated.safetensors --data pointing04:{data}/pointing04 "
-        "--out {out}/regression68-3d.safetensors",
+        "--out {out}/regression68-3d.full.safetensors",
+        limited("regression68-3d", 28),
     ],
     "alignment68-3d": [
         *_RENDERED,
-        f"{_WIDE} --method alignment3d --shape-variance 0.998 --no-detectors --out {{out}}/alignment68-3d.safetensors",
+        f"{_WIDE} --method alignment3d --shape-variance 0.998 --no-detectors "
+        "--out {out}/alignment68-3d.full.safetensors",
+        limited("alignment68-3d", 32),
     ],
 }
 

@@ -39,10 +39,12 @@ def main() -> int:
     parser = script_parser(__doc__)
     parser.add_argument("models", nargs="+", metavar="NAME=MODEL", help="models; the first is compared with the others")
     add_datasets(parser)
+    parser.add_argument("--part", default="", metavar="NAME", help="of the page, which is replaced")
     return measure(run, parser.parse_args())
 
 
 def run(arguments: argparse.Namespace, report: Report) -> None:
+    report.begin(arguments.part)
     models = {name: jaxfit.load(path) for name, _, path in (text.rpartition("=") for text in arguments.models)}
     datasets = read_datasets(arguments.data, arguments.scheme)
     read = GreyPictures()

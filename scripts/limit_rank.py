@@ -30,6 +30,7 @@ from jaxfit.labels.datasets import read_datasets
 from jaxfit.labels.records import FaceRecord
 
 FACES = 1500  # that directions are learned from
+COMPARED = 500  # others, at most
 BATCH = 64
 
 
@@ -38,23 +39,25 @@ def main() -> int:
     parser.add_argument("model", metavar="MODEL", help="a model, of which no step has directions yet")
     add_datasets(parser)
     parser.add_argument("--rank", type=int, required=True, help="how many directions a step keeps")
-    parser.add_argument("--out", required=True, metavar="FILE.safetensors", help="the smaller model")
+    parser.add_argument("smaller", metavar="SMALLER.safetensors", help="the file to write")
+    parser.add_argument("--part", default="", metavar="NAME", help="of the page, which is replaced")
     return measure(run, parser.parse_args())
 
 
 def run(arguments: argparse.Namespace, report: Report) -> None:
+    report.begin(arguments.part)
     model, read = jaxfit.load(arguments.model), GreyPictures()
     cascade = model.cascade
     if cascade.directions is not None or not 1 <= arguments.rank < cascade.space.size:
         raise InputError(f"expected steps without directions, and a rank below {cascade.space.size}")
     faces = [face for dataset in read_datasets(arguments.data, arguments.scheme) for face in dataset.faces]
-    chosen = np.random.default_rng(0).permutation(len(faces))[:FACES]
-    learned = [faces[number] for number in chosen]
+    order = np.random.default_rng(0).permutation(len(faces))
+    learned = [faces[number] for number in order[:FACES]]
     crops, _ = jaxfit.crop_faces(model, [read(face.image) for face in learned], start_boxes(learned))
     smaller = replace(model, cascade=limited(cascade, crops.pixels, arguments.rank))
-    jaxfit.save(smaller, arguments.out)
-    others = [face for number, face in enumerate(faces) if number not in set(chosen.tolist())] or faces
-    compare({"before": model, "after": jaxfit.load(arguments.out)}, others, read, report)
+    jaxfit.save(smaller, arguments.smaller)
+    others = [faces[number] for number in order[FACES:][:COMPARED]] or learned
+    compare({"before": model, "after": jaxfit.load(arguments.smaller)}, others, read, report)
 
 
 def limited(cascade: Cascade, crops: np.ndarray, rank: int) -> Cascade:

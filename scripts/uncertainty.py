@@ -6,8 +6,10 @@ faces; hidden landmarks are those that labels call so, or lack.
 """
 
 import argparse
+import csv
 import itertools
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -27,44 +29,55 @@ from jaxfit.evaluation.calibration import auroc
 from jaxfit.evaluation.errors import nmed
 from jaxfit.evaluation.evaluate import evaluate
 from jaxfit.evaluation.uncertainty import SHARES, LandmarkDoubts, landmark_doubts
-from jaxfit.labels.datasets import read_datasets
+from jaxfit.labels.datasets import parse_spec, read_datasets
 from jaxfit.labels.records import Dataset
 from jaxfit.learning.uncertainty import draw_faces
+from jaxfit.schemes.conversions import sources
+from jaxfit.schemes.known import LFPW29, LFPW29_NAMES
 
 FUSED = 4  # fits of a face
+FLAGS = {"obscured": 1, "self-occluded": 2}  # in LFPW's file
 
 
 def main() -> int:
     parser = script_parser(__doc__)
     parser.add_argument("model", metavar="MODEL", help="a model with an uncertainty")
     add_datasets(parser)
+    parser.add_argument("--part", default="", metavar="NAME", help="of the page, which is replaced")
     return measure(run, parser.parse_args())
 
 
 def run(arguments: argparse.Namespace, report: Report) -> None:
+    report.begin(arguments.part)
     model = jaxfit.load(arguments.model)
     if model.uncertainty is None:
         raise InputError(f"expected a model with an uncertainty (--confidence); {arguments.model} has none")
     datasets, read = read_datasets(arguments.data, arguments.scheme), GreyPictures()
-    rows, covers, fused = [], [], []
+    rows, covers, fused, flagged = [], [], [], []
     for name, dataset in zip(dataset_names(datasets), datasets, strict=True):
         with Bars() as bars:
             boxes = start_boxes(dataset.faces)
             result = evaluate(model, dataset.faces, boxes, scheme=dataset.scheme, read=read, progress=bars)
             doubts = landmark_doubts(result)
             rows += [{"faces": name, **row} for row in by_yaw(doubts, np.abs(yaws_of(dataset)))]
+            flagged += [{"faces": name, **row} for row in hidden_by_flags(doubts, dataset)]
             if dataset.scheme == model.scheme:
                 covers.append({"faces": name, **hidden_by_covers(model, dataset, read)})
                 fused.append({"faces": name, **errors_of_ways(model, dataset, read)})
     shares = {f"regions of {share:.0%} hold": ".3f" for share in SHARES}
     columns = {"faces": "", "yaw": "", "landmarks": "d", **shares, "rank correlation": ".2f", "hidden: AUROC": ".3f"}
     report.table(rows, columns, above="Regions, ranks and hidden landmarks")
+    if flagged:
+        columns = {"faces": "", "hidden": "", "landmarks": "d", "AUROC": ".3f"}
+        report.table(flagged, columns, above="Landmarks that LFPW's labels call hidden, against those called visible")
+    if not covers:
+        return
     report.table(
         covers,
         {"faces": "", "hidden, %": ".1f", "AUROC": ".3f"},
         above="Landmarks below parts of other pictures that were laid over half of the crops",
     )
-    ways = {way: ".4f" for way in fused[0] if way != "faces"} if fused else {}
+    ways = {way: ".4f" for way in fused[0] if way != "faces"}
     report.table(
         fused, {"faces": "", **ways}, above=f"Mean error of a face from {FUSED} fits, from boxes moved a little"
     )
@@ -90,6 +103,34 @@ def by_yaw(doubts: LandmarkDoubts, yaws: np.ndarray) -> list[dict[str, object]]:
                 **held,
                 "rank correlation": some.ranks,
                 "hidden: AUROC": some.hidden,
+            }
+        )
+    return rows
+
+
+def hidden_by_flags(doubts: LandmarkDoubts, dataset: Dataset) -> list[dict[str, object]]:
+    """How well a model tells visible landmarks from those that LFPW's file calls obscured, or self-occluded; none of
+    other data sets."""
+    kind, _, path, *_ = parse_spec(dataset.spec)
+    if kind != "lfpw":
+        return []
+    with open(path, encoding="utf-8", newline="") as file:
+        lines = {Path(line["imgurl"]).stem: line for line in csv.DictReader(file, delimiter="\t")}
+    places = [of[0] if len(of) == 1 else None for of in sources(LFPW29, dataset.scheme)]
+    states = np.array(
+        [
+            [np.nan if place is None else int(lines[face.image.stem][f"{LFPW29_NAMES[place]}_t"]) for place in places]
+            for face in dataset.faces
+        ]
+    )
+    rows: list[dict[str, object]] = []
+    for name, state in FLAGS.items():
+        known = np.isin(states, (0, state)) & np.isfinite(doubts.visible)
+        rows.append(
+            {
+                "hidden": name,
+                "landmarks": int((states == state).sum()),
+                "AUROC": auroc(doubts.visible[known], states[known] == 0),
             }
         )
     return rows

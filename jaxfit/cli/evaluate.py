@@ -141,6 +141,14 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
         [problem for dataset in datasets for problem in dataset.problems]
         + [str(problem) for result in results.values() for problem in result.fits.problems]
     )
+    warn(
+        [
+            f"{spec}: the model learned from the pictures of {result.learned.sum()} of {len(result.faces)} faces, "
+            "whose errors are no test of it"
+            for spec, result in results.items()
+            if result.learned is not None and result.learned.any()
+        ]
+    )
     _print_tables(results, solid=model.space_3d is not None)
     say(f"written: {folder / 'report.json'}, {folder / 'faces.csv'}")
     return 0

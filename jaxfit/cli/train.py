@@ -55,7 +55,9 @@ def add_command(commands: "argparse._SubParsersAction[argparse.ArgumentParser]")
         formatter_class=DefaultsInHelp,
     )
     add_faces(command)
-    command.add_argument("--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write")
+    command.add_argument(
+        "--out", required=True, metavar=f"MODEL{SUFFIX}", help="the model file to write, in place of one of that name"
+    )
     command.add_argument("--method", choices=sorted(METHODS), default="sdm", help="what to train")
     command.add_argument(
         "--choose",
@@ -111,6 +113,9 @@ def run(options: argparse.Namespace) -> int:
         if is_first():
             save(model, out)
         reached = _reached(model, found.faces, read, bars)
+    if folds:
+        say(f"{out} is written; {folds} more trainings tell what errors to expect of it (Ctrl-C keeps the model)")
+    with bars:
         how |= {"options": of_training, "folds": folds}
         held_out = evaluate_held_out(found.faces, found.scheme, **how) if folds else {}
     if not is_first():

@@ -15,6 +15,7 @@ from jaxfit.data.pictures import Pixels, to_eight_bits
 from jaxfit.data.rows import Row
 from jaxfit.errors import InputError
 from jaxfit.modes import computing
+from jaxfit.schemes.known import SCHEMES
 from jaxfit.schemes.scheme import Scheme
 from jaxfit.shapes.camera import pose_rotation
 
@@ -50,7 +51,8 @@ def draw_landmarks(
     """A copy, uint8 (H, W, 3), of an RGB or grey picture with a face's landmarks drawn over it.
 
     Lines and points are as thick as the face is large. Points that are NaN, and lines to them, are left out. Points
-    that are rather hidden than not are hollow; ellipses hold the true point in 90 of 100 cases.
+    that are rather hidden than not are hollow; those of a scheme of your own have numbers. Ellipses hold the true
+    point in 90 of 100 cases.
 
     Args:
         rgb: a picture as in `jaxfit.data.pictures.to_eight_bits`.
@@ -238,7 +240,19 @@ def _face(
     if not small:
         _lines(canvas, points, scheme.lines, colour, thickness)
     for number in np.flatnonzero(np.isfinite(points).all(1)):
-        _dot(canvas, points[number], colour, thickness, small, visible is not None and visible[number] < _SEEN)
+        hollow = visible is not None and bool(visible[number] < _SEEN)
+        _dot(canvas, points[number], colour, thickness, small, hollow)
+        if not small and len(points) > 1 and scheme.name not in SCHEMES:
+            _number(canvas, points[number], int(number) + 1, colour, thickness)
+
+
+def _number(canvas: np.ndarray, point: np.ndarray, number: int, colour: tuple[int, int, int], thickness: float) -> None:
+    """The number of a point (2,) beside it: of points that have no names that all know."""
+    height = max(_LEAST_LETTERS, 0.4 * thickness)
+    corner = tuple(np.round(np.clip(point, -_FARTHEST, _FARTHEST) + 4 * max(1.0, thickness)).astype(int).tolist())
+    width = max(1, round(height))
+    for shade, wide in (((0, 0, 0), 3 * width), (colour, width)):  # its outline first: readable on any ground
+        cv2.putText(canvas, str(number), corner, cv2.FONT_HERSHEY_SIMPLEX, height, shade, wide, cv2.LINE_AA)
 
 
 def _ellipses(canvas: np.ndarray, points: np.ndarray, covariances: np.ndarray, colour: tuple[int, int, int]) -> None:

@@ -66,7 +66,10 @@ class HeadModel:
             InputError: the head model lacks the scheme.
         """
         if scheme.name not in self.sets:
-            raise InputError(f"this head model has no points of scheme {scheme.name}; it has {', '.join(self.sets)}")
+            raise InputError(
+                f"this head model has no points of scheme {scheme.name}; it has {', '.join(self.sets)}: models of "
+                "other schemes find no heads"
+            )
         return self.sets[scheme.name]
 
     @computing

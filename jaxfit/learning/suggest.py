@@ -1,5 +1,6 @@
 """Which unlabelled pictures to label next: those that a model is unsure of, and that differ from each other."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +38,10 @@ class Suggested:
     def dataset(self) -> Dataset:
         """The fits as labels to be corrected."""
         names, pictures = self.fits.names, self.fits.pictures
-        faces = []
+        faces, found = [], Counter[int]()
         for row, points in enumerate(self.fits.landmarks):
             image, known = Path(names[pictures[row]]), np.ones(len(points), bool)
+            found[pictures[row]] += 1
             faces.append(
                 FaceRecord(
                     image=image,
@@ -49,7 +51,7 @@ class Suggested:
                     box=bounding_square(points),
                     pose=None,
                     subject=image.stem,
-                    face=f"{image.stem}_{row}",
+                    face=f"{image.stem}_{found[pictures[row]]}",
                 )
             )
         return Dataset("suggested", self.fits.scheme, tuple(faces))

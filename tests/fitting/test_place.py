@@ -52,13 +52,13 @@ def seen(model: jaxfit.Model, camera: jaxfit.PinholeCamera) -> tuple[Fits, np.nd
         kinds=("square",) * COUNT,
         rotations=np.zeros(COUNT),
         landmarks=points,
-        **{name: np.zeros((COUNT, *values.shape[1:])) for name, values in nobody.arrays.items() if name in OF_3D},
+        **{name: np.zeros((COUNT, *values.shape[1:])) for name, values in nobody.arrays.items() if name in FILLED},
         confidence=np.ones(COUNT),
     )
     return fits, places, turns
 
 
-OF_3D = ("landmarks_3d", "pose", "scale", "b")
+FILLED = ("landmarks_3d", "pose", "scale", "b", "covariances", "visible")
 
 
 def test_synthetic_cameras_are_recovered(model: jaxfit.Model) -> None:

@@ -50,7 +50,7 @@ def test_files_keep_them(model: jaxfit.Model, tmp_path: Path) -> None:
 
 def test_models_that_find_heads_and_landmarks_of_other_things_are_refused() -> None:
     with pytest.raises(InputError, match="finds heads by itself"):
-        jaxfit.with_heads(jaxfit.load("face68-3d"))
+        jaxfit.with_heads(jaxfit.load("regression68-3d"))
     other = replace(jaxfit.load("face68"), scheme=scheme_named("points68"))
     with pytest.raises(InputError, match="no points of scheme points68"):
         jaxfit.with_heads(other)

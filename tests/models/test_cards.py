@@ -20,7 +20,7 @@ def test_every_model_has_a_card() -> None:
             assert heading in card, name
 
 
-def test_models_are_listed_and_described(capsys) -> None:
+def test_models_are_listed_and_described(capsys, tmp_path: Path) -> None:
     assert main(["models"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith(DEFAULT_MODEL)
@@ -34,3 +34,7 @@ def test_models_are_listed_and_described(capsys) -> None:
         assert all(kind in described[name] for kind in model.known_placements)
     assert main(["models", "nobody"]) == 2
     assert "no model 'nobody'" in capsys.readouterr().err
+    own = tmp_path / "mine.safetensors"
+    jaxfit.save(jaxfit.load("fast68"), own)
+    assert main(["models", str(own)]) == 0
+    assert "68 (ibug68)" in capsys.readouterr().out

@@ -125,7 +125,7 @@ def test_dask_maps_it_over_partitions(fitter: BatchFitter, batch: Columns, rows:
 
 
 def test_heads_have_columns_of_their_own() -> None:
-    columns = list(BatchFitter("face68-3d", Fitting("whole"))({"image": []}))
+    columns = list(BatchFitter("regression68-3d", Fitting("whole"))({"image": []}))
     assert columns[-1] == "problem"
     assert {"x1", "head_roll", "head_scale", "head_x1", "head_z68", "head_b1"} <= {*columns}
 

@@ -68,7 +68,7 @@ def dry_run(capsys: pytest.CaptureFixture[str], *options: str) -> list[list[str]
 
 def test_every_bundled_model_is_built_by_commands_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
     commands = dry_run(capsys)
-    written = [words[words.index("--out") + 1] for words in commands]
+    written = [words[words.index("--out") + 1] if "--out" in words else words[2] for words in commands]
     assert {f"O/{name}.safetensors" for name in bundled()} <= set(written)
     assert len(set(written)) == len(written)
     for program, *words in commands:
@@ -80,9 +80,9 @@ def test_every_bundled_model_is_built_by_commands_that_exist(capsys: pytest.Capt
 
 def test_people_kept_aside_are_measured_and_not_learned_from(capsys: pytest.CaptureFixture[str]) -> None:
     *built, kept_aside, turned = dry_run(capsys, "sdm68", "--split", "S")
-    assert [word for words in built for word in words if word.startswith("pts:")] == [
+    assert {word for words in built for word in words if word.startswith("pts:")} == {
         f"pts:S/train/{name}" for name in ("lfpw68", "helen68", "ytf68")
-    ]
+    }
     assert "pts:S/test/ytf68" in kept_aside
     assert "aflw2000:D/aflw2000" in turned
 
