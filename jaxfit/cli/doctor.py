@@ -75,8 +75,7 @@ def checks() -> Iterator[Check]:
     yield Check("devices", ", ".join(f"{device.platform} ({device.device_kind})" for device in jax.devices()))
     yield Check("processors", f"{os.cpu_count()}")
     yield _cache()
-    there = [name for name, entry in DETECTORS.items() if entry.installed]
-    yield Check("detectors", ", ".join(there))
+    yield Check("detectors", ", ".join(name for name, entry in DETECTORS.items() if entry.installed))
     for extra, module in _EXTRAS.items():
         there = find_spec(module) is not None
         yield Check(f"jaxfit[{extra}]", "installed" if there else f'not installed: pip install "jaxfit[{extra}]"')
