@@ -156,14 +156,14 @@ def _evaluate(options: argparse.Namespace, until_the_end: ExitStack) -> int:
 
 def _print_tables(results: Mapping[str, Evaluation], solid: bool) -> None:
     """Print the errors of each dataset, and of poses where they are known; ``solid`` models have errors in 3D."""
-    say(
-        "NMED, relative to what the table says. The mean is over fitted faces; faces without a fit count in the "
-        "median, the AUC and the failures. Unmeasured: the points of the normaliser are not labelled. Learned "
-        "from: faces in pictures that the model was trained on, on which errors are no test; unknown: the model "
-        "does not say."
-    )
     columns = {name: form for name, form in _COLUMNS.items() if name != _ERROR_3D or solid}
     say(text_table([_row(spec, result) for spec, result in results.items()], columns))
+    say(
+        "Errors are NMED, relative to what the table says.\n"
+        "The mean is over fitted faces; faces without a fit count in the median, the AUC and the failures.\n"
+        "Unmeasured: the points of the normaliser are not labelled.\n"
+        "Learned from: faces in pictures that the model was trained on; unknown: the model does not say."
+    )
     for spec, result in results.items():
         for unit, numbers in _distances_in_words(result):
             say(f"{spec}: errors of single landmarks in {unit}: {numbers}")

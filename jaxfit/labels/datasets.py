@@ -86,9 +86,17 @@ def parse_spec(spec: str) -> Spec:
             return Spec(of_suffix, 0.0, spec, False)
         raise InputError(
             f"expected a dataset as FORMAT:PATH with FORMAT one of {', '.join(FORMATS)}, or a file that ends in "
-            f"{', '.join(_SUFFIXES)}; got {spec!r}"
+            f"{', '.join(_SUFFIXES)}; got {spec!r}{_meant(spec)}"
         )
     return Spec(known[1], float(known[3] or 0), path, known[2] is not None)
+
+
+def _meant(spec: str) -> str:
+    """What somebody may have meant by a dataset without a format, as the end of a sentence."""
+    path = Path(spec)
+    if path.is_dir():
+        return f", a folder: if it has .pts files, give pts:{spec}"
+    return "" if ":" in spec or path.exists() else ", and there is no such file or folder"
 
 
 def read_dataset(spec: str) -> Dataset:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -201,9 +202,10 @@ def read_named(name: str | Path, package: str, kind: str) -> bytes:
     try:
         return read_regular(name, MOST_BYTES)
     except (OSError, ValueError) as error:
+        near = "".join(f"; did you mean {known}?" for known in get_close_matches(str(name), names, 1))
         raise ModelError(
             f"no {kind} {str(name)!r}: expected one of the bundled {kind}s ({', '.join(names) or 'none'}) or "
-            f"the path of a {kind} file ({getattr(error, 'strerror', None) or error})"
+            f"the path of a {kind} file ({getattr(error, 'strerror', None) or error}){near}"
         ) from None
 
 
